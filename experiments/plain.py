@@ -1,9 +1,8 @@
 """The plain pipeline beside which jaxscan is compared: OpenCV's boards and lens, centroids of lines, planes.
 
-Every step takes the result of the one before as exact, and nothing of jaxscan is used. The methods of the paper and of
-the desk scanner Horus (`paper.methods`), that for other people's captures (`real_sets.measure`) and that for worlds of
-known truth (`unkind.plain`) are made of these parts. Coordinates are metres; pixel (0, 0) is the centre of the top-left
-pixel.
+Every step takes the result of the one before as exact, and nothing of jaxscan is used. The paper's method
+(`paper.methods`), the one for other people's captures (`real_sets.measure`) and the one for worlds of known truth
+(`unkind.plain`) are made of these parts. Coordinates are metres; pixel (0, 0) is the centre of the top-left pixel.
 """
 
 from typing import Any, NamedTuple

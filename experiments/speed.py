@@ -39,7 +39,6 @@ import numpy as np
 
 from experiments import exact_rig
 from experiments.exact_rig import PosePlan, add_noise, draw_poses, ideal_boards
-from experiments.paper.methods import centroid, horus_centres
 from experiments.report import RESULTS, Figure, command_line, conclude, figure_table, machine, progress, table, verb
 from experiments.speed_scene import (
     DISTINCT,
@@ -124,7 +123,7 @@ def memory(size: Size, scratch: Path) -> tuple[list[Figure], str]:
             "ours": ours("ours", ReconstructSettings()),
             "ours, no normals": ours("ours, no normals", ReconstructSettings(normals=False)),
             "ours, centre of gravity": ours("ours, centre of gravity", plain),
-            "usual": pipeline(horus_centres, scanner, frames, angle, u["usual"], pool),
+            "usual": pipeline(usual_centres, scanner, frames, angle, u["usual"], pool),
             "lean": pipeline(lean_centres, scanner, frames, angle, u["lean"], pool),
             "read": lambda: list(pool.map(np.sum, parts)),
         }
@@ -146,6 +145,25 @@ def memory(size: Size, scratch: Path) -> tuple[list[Figure], str]:
         rows.append([name, *each, *shares])
     head = ["", "best, ms/pair", "processor, ms/pair", "lines with a point", "stripes within 1 px"]
     return figures, table(head, rows)
+
+
+def usual_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """The method of the desk scanner Horus: threshold, box of 5 x 5, threshold, 8 px round the highest pixel."""
+    image = cv2.subtract(on, off)
+    cv2.threshold(image, 50, 255, cv2.THRESH_TOZERO, dst=image)
+    cv2.blur(image, (5, 5), dst=image)
+    cv2.threshold(image, 50, 255, cv2.THRESH_TOZERO, dst=image)
+    return centroid(image, image.argmax(axis=1), 8, 0)
+
+
+def centroid(image: np.ndarray, peak: np.ndarray, reach: int, least: int) -> tuple[np.ndarray, np.ndarray]:
+    """Centre of gravity of each row within `reach` columns of its peak [rows], of pixels of at least `least`."""
+    columns = peak[:, None] + np.arange(-reach, reach + 1)
+    inside = (columns >= 0) & (columns < image.shape[1])
+    window = image[np.arange(len(image))[:, None], np.clip(columns, 0, image.shape[1] - 1)].astype(np.float32)
+    window[(window < least) | ~inside] = 0
+    total = window.sum(1)
+    return (window * columns).sum(1) / np.maximum(total, 1.0), total > 0
 
 
 def lean_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

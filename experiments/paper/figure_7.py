@@ -14,8 +14,8 @@ import numpy as np
 from scipy import ndimage
 
 import jaxscan
-from experiments.paper.methods import EXTRACTORS, METHODS, PaperWay, in_window, paper_cloud
-from experiments.paper.products import RenderedSweep, draws, our_calibrations
+from experiments.paper.methods import METHODS, PaperWay, in_window, paper_cloud
+from experiments.paper.products import PlainStripes, RenderedSweep, draws, our_calibrations, plain_stripes
 from experiments.paper.stage import Metric, Stage, plt, save, windowed, windowed_scanner
 from experiments.paper.targets import PITCH_M, marks_hall, marks_wall, nominal_window, wall_distance
 from experiments.report import rms
@@ -227,17 +227,6 @@ def _crossings(grey: np.ndarray, valid: np.ndarray, ends: tuple[int, int], ink: 
 LENGTH_MM = 300.0
 
 
-class Plain(NamedTuple):
-    """The stripe of a sweep by a plain finder."""
-
-    u: np.ndarray
-    """Column [records, rows], px."""
-    valid: np.ndarray
-    """bool [records, rows]."""
-    grey: np.ndarray
-    """The laser-off image at the centres [records, rows], DN."""
-
-
 class Measured(NamedTuple):
     """Distances in one cloud."""
 
@@ -258,7 +247,7 @@ def measure_ours(cloud: jaxscan.PointCloud) -> Measured:
     return _measured(np.asarray(cloud.xyz, np.float64), np.asarray(cloud.valid), grey, np.array([0.0, 0.0, 1.0]))
 
 
-def measure_paper_way(seen: Plain, way: PaperWay, angles: np.ndarray) -> Measured:
+def measure_paper_way(seen: PlainStripes, way: PaperWay, angles: np.ndarray) -> Measured:
     """Marks in the paper's cloud."""
     xyz = paper_cloud(way, seen.u, seen.valid, angles)
     valid = np.isfinite(xyz).all(-1)
@@ -352,10 +341,8 @@ def run(stage: Stage) -> list[Metric]:
     half = np.degrees(np.arctan2(PITCH_M * columns / 2, distance)) + 4.5
     angles = np.deg2rad(np.arange(np.floor(-half + 3.8), np.ceil(half + 3.8), STEP_DEG[stage.quick]))
     scene = make_scene(config, extras=partial(marks_wall, distance, columns))
-    # Frames may be read more than once: stripes are kept by the number of their record.
-    shape = len(angles), config.camera.height
-    plain = {name: Plain(np.zeros(shape), np.zeros(shape, bool), np.zeros(shape)) for name in EXTRACTORS}
-    sweep = RenderedSweep(config, angles, seed=_SEED, scene=scene, watch=partial(_watch, plain))
+    plain, watch = plain_stripes((len(angles), config.camera.height))
+    sweep = RenderedSweep(config, angles, seed=_SEED, scene=scene, watch=watch)
     parts = [windowed_scanner(jaxscan.load_scanner(path), first, stop) for path in our_calibrations(stage)]
     stripes = jaxscan.extract(sweep, parts[0]).stripes
     stage.say(f"figure 7: {len(angles)} records of the wall")
@@ -423,14 +410,3 @@ def paper_metrics(name: str, paper: list[Measured]) -> list[Metric]:
         Metric(f"{key}_picked_std", picked, "mm", "none", 0, PAPER_STD_MM,
                label=f"{what}: {spread}, between picked points"),
     ]  # fmt: skip
-
-
-def _watch(plain: dict[str, Plain], first: int, on: np.ndarray, off: np.ndarray) -> None:
-    """Plain stripes of a chunk, and the colours at their centres."""
-    for name, extract in EXTRACTORS.items():
-        u, valid = extract(on, off)
-        left = np.clip(u.astype(int), 0, off.shape[2] - 2)
-        near = [np.take_along_axis(off, at[..., None], 2)[..., 0].astype(np.float64) for at in (left, left + 1)]
-        found = Plain(u, valid, near[0] + (u - left) * (near[1] - near[0]))
-        for whole, part in zip(plain[name], found, strict=True):
-            whole[first : first + len(part)] = part

@@ -1,6 +1,5 @@
 """Fig. 8: two textured objects, reconstructed without and with colour by a colour camera."""
 
-from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -8,8 +7,8 @@ import numpy as np
 from scipy.spatial import cKDTree
 
 import jaxscan
-from experiments.paper.methods import METHODS, gravity, in_window, paper_cloud
-from experiments.paper.products import RenderedSweep, draws, our_calibrations
+from experiments.paper.methods import METHODS, in_window, paper_cloud
+from experiments.paper.products import RenderedSweep, draws, our_calibrations, plain_stripes
 from experiments.paper.stage import Metric, Stage, plt, save, windowed, windowed_scanner
 from experiments.paper.targets import GLOBE_M, GLOBE_RADIUS, VASE_M, nominal_window, still_life, studio
 from jaxscan.report.clouds import Viewpoint, draw_cloud
@@ -48,9 +47,8 @@ def run(stage: Stage) -> list[Metric]:
     config = windowed(config, first, stop)
     scene = make_scene(config, extras=still_life)
     angles = np.deg2rad(np.arange(*TURN_DEG, STEP_DEG[stage.quick]))
-    shape = len(angles), config.camera.height
-    plain = np.zeros(shape), np.zeros(shape, bool)
-    sweep = RenderedSweep(config, angles, seed=_SEED, scene=scene, watch=partial(_watch, plain))
+    plain, watch = plain_stripes((len(angles), config.camera.height))
+    sweep = RenderedSweep(config, angles, seed=_SEED, scene=scene, watch=watch)
     scanner = windowed_scanner(jaxscan.load_scanner(our_calibrations(stage, 3)[0]), first, stop)
     settings = jaxscan.ReconstructSettings(min_range_m=DEPTHS_M[0] - 0.1, max_range_m=DEPTHS_M[1] + 0.1)
     cloud = jaxscan.reconstruct(sweep, scanner, settings=settings)
@@ -59,7 +57,7 @@ def run(stage: Stage) -> list[Metric]:
     metrics = judge("ours", np.asarray(cloud.xyz, np.float64)[np.asarray(cloud.valid)], truth)
     metrics += judge_colours(cloud, truth)
     way = in_window(draws(stage)[0].paper, first)
-    xyz = paper_cloud(way, *plain, angles)
+    xyz = paper_cloud(way, plain["gravity"].u, plain["gravity"].valid, angles)
     pose = make_rig(config).pose(0.0)
     metrics += judge("paper_way", pose.apply(xyz[np.isfinite(xyz).all(-1)]), truth)
     draw_objects(stage.picture("figure_8"), f"Fig. 8, {stage.world} world: a vase and a globe", cloud)
@@ -109,19 +107,11 @@ def judge(key: str, points: np.ndarray, truth: Truth) -> list[Metric]:
     share = float(np.mean(cKDTree(points).query(truth.places)[0] < truth.reach)) * 100
     what = "ours" if key == "ours" else METHODS["gravity"]
     median, most = (float(np.percentile(away, level)) for level in (50, 95))
+    far = f"{what}: distance of points from the surface"
     return [
         Metric(f"{key}_share", share, "%", "more", 2, label=f"{what}: share of the visible surface with points"),
-        Metric(
-            f"{key}_distance", median, "mm", "less", 0.1, label=f"{what}: distance of points from the surface, median"
-        ),
-        Metric(
-            f"{key}_distance_95",
-            most,
-            "mm",
-            "less",
-            0.3,
-            label=f"{what}: distance of points from the surface, 95th percentile",
-        ),
+        Metric(f"{key}_distance", median, "mm", "less", 0.1, label=f"{far}, median"),
+        Metric(f"{key}_distance_95", most, "mm", "less", 0.3, label=f"{far}, 95th percentile"),
     ]
 
 
@@ -189,9 +179,3 @@ def _nearest(scene: Scene, points: np.ndarray) -> tuple[np.ndarray, np.ndarray, 
     found = surface.compute_closest_points(tensor(np.ascontiguousarray(points, np.float32)))
     places = found["points"].numpy().astype(np.float64)
     return np.linalg.norm(points - places, axis=1), places, found["primitive_ids"].numpy().astype(np.int64)
-
-
-def _watch(plain: tuple[np.ndarray, np.ndarray], first: int, on: np.ndarray, off: np.ndarray) -> None:
-    """The plain stripe in the red channel."""
-    for whole, part in zip(plain, gravity(on[..., 0], off[..., 0]), strict=True):
-        whole[first : first + len(part)] = part

@@ -8,10 +8,7 @@ all draws of their noise.
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib as mpl
 import numpy as np
-from matplotlib.axes import Axes
-from scipy.ndimage import distance_transform_edt  # type: ignore[import-untyped]
 
 import jaxscan
 from experiments.paper.methods import METHODS, PaperWay, paper_cloud
@@ -30,6 +27,7 @@ from experiments.report import rms
 from jaxscan import recalibration
 from jaxscan.measurement.room import RoomBox
 from jaxscan.reconstruction import plan_sweep, smooth_stripes
+from jaxscan.report.clouds import draw_cloud
 
 
 PROFILES, ROWS = 360, 200
@@ -162,158 +160,21 @@ def points_of(xyz: np.ndarray, angles: np.ndarray) -> Points:
     return Points(np.where(valid[..., None], xyz, 0.0), sigma, valid, lasers, np.asarray(angles))
 
 
-PLAN_M, FRONT_M = 0.01, 0.005
-"""Pixels of plans and of elevations [m]."""
-FAR_M = 3.5
-"""Distance at which neighbouring profiles of an elevation still touch [m]."""
-MARGIN_M = 0.15
-IN_FRONT_M = 0.75
-"""Points so far before a wall belong to its elevation [m]."""
-_INK = "0.15"
-
-
-class Survey(NamedTuple):
-    """Points in the frame of the room: x along its width, y along its length, its middle at zero."""
-
-    xyz: np.ndarray
-    """[n, 3], m; heights from the scanner's origin."""
-    rgb: np.ndarray
-    """[n, 3], uint8."""
-    width_m: float
-    length_m: float
-    rig_m: np.ndarray
-    """Where the scanner stands [2]."""
-
-
-def survey_of(xyz: np.ndarray, rgb: np.ndarray | None, box: RoomBox) -> Survey:
-    """Points [n, 3] turned so that the measured walls run along the axes; without colours all are grey."""
-    width, length = box.width, box.length
-    assert width is not None and length is not None
-    across = width.direction[:2] / np.linalg.norm(width.direction[:2])
-    along = np.array([-across[1], across[0]])
-    if along @ length.direction[:2] < 0:
-        along = -along
-    turn = np.stack([across, along])
-    middle = box.centre_m[:2]
-    flat = (xyz[:, :2] - middle) @ turn.T
-    colour = np.full((len(xyz), 3), 128, np.uint8) if rgb is None else rgb
-    return Survey(np.column_stack([flat, xyz[:, 2]]), colour, width.value_m, length.value_m, -turn @ middle)
-
-
-def draw_plans(path: Path, ours: Survey, paper: Survey | None, paper_azimuth: np.ndarray, title: str) -> None:
-    """Draw top views: ours by height and with colour, and that of the paper's method by table angle [deg]."""
-    figure, axes = plt.subplots(1, 3, figsize=(17, 9.2), constrained_layout=True)
-    figure.suptitle(title, fontsize=15)
-    low, high = np.percentile(ours.xyz[:, 2], [1, 99])
-    shown = _plan(axes[0], ours, ours.xyz[:, 2], "viridis", (low, high))
-    axes[0].set_title("Ours, without colour: by height")
-    figure.colorbar(shown, ax=axes[0], shrink=0.4, label="height above the scanner [m]")
-    _plan(axes[1], ours, ours.rgb, None, (0, 1))
-    axes[1].set_title("Ours, with colour")
-    if paper is None:
-        axes[2].axis("off")
-    else:
-        shown = _plan(axes[2], paper, paper_azimuth, "twilight", (0, 360))
-        axes[2].set_title("The paper's method, the draw of median error: by table angle")
-        figure.colorbar(shown, ax=axes[2], shrink=0.4, label="angle of the table [°]")
+def draw_room(path: Path, title: str, clouds: dict[str, tuple[np.ndarray, np.ndarray]]) -> None:
+    """Rooms, cut open: points [profiles, rows, 3], m, zero where there is none, and their colours, by a title each."""
+    figure, axes = plt.subplots(1, len(clouds), figsize=(7 * len(clouds), 6.3), layout="constrained")
+    for axis, (name, (xyz, rgb)) in zip(axes, clouds.items(), strict=True):
+        axis.imshow(draw_cloud(xyz.astype(np.float32), rgb, size=(900, 760)))
+        axis.set_title(name)
+        axis.set_axis_off()
+    figure.suptitle(title, fontsize=14)
     save(figure, path, 110)
 
 
-def draw_elevations(path: Path, ours: Survey, steps: int, title: str) -> None:
-    """Side views of all four walls, from within: without colour, by the distance before the wall, and with colour."""
-    low, high = np.percentile(ours.xyz[:, 2], [0.2, 99.8])
-    reach = max(ours.length_m, ours.width_m) / 2 + 0.1
-    gap = FAR_M * 2 * np.pi / steps
-    figure, axes = plt.subplots(4, 2, figsize=(18, 12.5), sharex=True, sharey=True, constrained_layout=True)
-    figure.suptitle(title, fontsize=15)
-    for row, (name, side) in zip(axes, (("x", 1.0), ("y", 1.0), ("x", -1.0), ("y", -1.0)), strict=True):
-        across = "xy".index(name)
-        depth = (ours.width_m if name == "x" else ours.length_m) / 2 - side * ours.xyz[:, across]
-        # Seen from within, with the wall ahead: to the right is -y before +x, and +x before +y.
-        right = ours.xyz[:, 1 - across] * (-side if name == "x" else side)
-        half = (ours.length_m if name == "x" else ours.width_m) / 2
-        kept = (np.abs(depth) < IN_FRONT_M) & (np.abs(right) < half + 0.05)
-        at = np.column_stack([right[kept], ours.xyz[kept, 2]])
-        extent = (-half - 0.05, half + 0.05, low, high)
-        shown = _front(row[0], at, 1e3 * depth[kept], extent, gap, coloured=False)
-        _front(row[1], at, ours.rgb[kept], extent, gap, coloured=True)
-        row[0].set_ylabel(f"wall at {'+' if side > 0 else '-'}{name}: height [m]")
-    figure.colorbar(shown, ax=axes, location="bottom", shrink=0.35, aspect=40, label="before the wall [mm]")
-    axes[0, 0].set(xlim=(-reach, reach), title="Without colour: by distance before the wall")
-    axes[0, 1].set_title("With colour")
-    for axis in axes[-1]:
-        axis.set_xlabel("along the wall [m]")
-    save(figure, path, 110)
-
-
-def _raster(
-    at: np.ndarray, values: np.ndarray, extent: tuple[float, float, float, float], pixel_m: float
-) -> tuple[np.ndarray, np.ndarray]:
-    """Mean of values [n] or [n, 3] and number of points in each pixel [rows, columns]; NaN where there is none."""
-    shape = round((extent[3] - extent[2]) / pixel_m), round((extent[1] - extent[0]) / pixel_m)
-    column = np.floor((at[:, 0] - extent[0]) / pixel_m).astype(int)
-    row = np.floor((at[:, 1] - extent[2]) / pixel_m).astype(int)
-    inside = (row >= 0) & (row < shape[0]) & (column >= 0) & (column < shape[1])
-    pixel = row[inside] * shape[1] + column[inside]
-    count = np.bincount(pixel, minlength=shape[0] * shape[1])
-    columns = values[inside].reshape(len(pixel), -1).T
-    sums = [np.bincount(pixel, weights=each, minlength=len(count)) for each in columns]
-    with np.errstate(invalid="ignore", divide="ignore"):
-        mean = np.stack(sums, -1) / count[:, None]
-    return mean.reshape(*shape, -1), count.reshape(shape)
-
-
-def _plan(
-    axis: Axes, survey: Survey, values: np.ndarray, colours: str | None, limits: tuple[float, float]
-) -> mpl.cm.ScalarMappable:
-    """Points from above, the denser the darker, with the measured dimensions; values are RGB without `colours`."""
-    x, y = survey.width_m / 2, survey.length_m / 2
-    extent = (-x - MARGIN_M, x + MARGIN_M, -y - MARGIN_M, y + MARGIN_M)
-    mean, count = _raster(survey.xyz[:, :2], values, extent, PLAN_M)
-    scale = mpl.cm.ScalarMappable(mpl.colors.Normalize(*limits), colours)
-    strength = np.clip(np.log1p(count) / np.log1p(np.percentile(count[count > 0], 90)), 0, 1)
-    picture = _brightened(mean) if colours is None else scale.to_rgba(np.nan_to_num(mean[..., 0]))[..., :3]
-    alpha = np.where(count > 0, 0.15 + 0.85 * strength, 0)
-    axis.imshow(np.dstack([picture, alpha]), extent=extent, origin="lower", interpolation="nearest")
-    axis.plot(*survey.rig_m, "+", color="crimson", markersize=11)
-    axis.annotate("scanner", survey.rig_m, xytext=(6, 6), textcoords="offset points", color="crimson", fontsize=9)
-    axis.set(aspect="equal", xlabel="across the room [m]", ylabel="along the room [m]")
-    line = {"arrowstyle": "<->", "color": _INK, "lw": 1.2, "shrinkA": 0, "shrinkB": 0}
-    axis.annotate("", (-x, -0.3 * y), (x, -0.3 * y), arrowprops=line)
-    axis.annotate("", (0.3 * x, -y), (0.3 * x, y), arrowprops=line)
-    box = {"boxstyle": "round,pad=0.25", "fc": "white", "ec": "none", "alpha": 0.85}
-    text = {"ha": "center", "va": "center", "fontsize": 12, "color": _INK, "bbox": box}
-    axis.text(-0.35 * x, -0.3 * y, f"{1e3 * survey.width_m:.1f} mm", **text)
-    axis.text(0.3 * x, 0.35 * y, f"{1e3 * survey.length_m:.1f} mm", rotation=90, **text)
-    return scale
-
-
-def _front(
-    axis: Axes,
-    at: np.ndarray,
-    values: np.ndarray,
-    extent: tuple[float, float, float, float],
-    gap_m: float,
-    *,
-    coloured: bool,
-) -> mpl.cm.ScalarMappable:
-    """Points from the front; a pixel has the mean of its points."""
-    mean, count = _raster(at, values, extent, FRONT_M)
-    # Gaps between profiles take the nearest points.
-    distance, nearest = distance_transform_edt(count == 0, return_indices=True)
-    mean, there = mean[tuple(nearest)], distance <= 1 + gap_m / 2 / FRONT_M
-    axis.set(facecolor="0.93", aspect="equal")
-    if coloured:
-        return axis.imshow(np.dstack([_brightened(mean), there.astype(float)]), extent=extent, origin="lower")
-    image = np.where(there, mean[..., 0], np.nan)
-    return axis.imshow(image, extent=extent, origin="lower", cmap="cividis", vmin=-10, vmax=250)
-
-
-def _brightened(mean: np.ndarray) -> np.ndarray:
-    """Colours [..., 3] of 0 ... 1: as bright as a print wants them."""
-    seen = mean[np.isfinite(mean)]
-    top = np.percentile(seen, 99.5) if len(seen) else 1.0
-    return np.clip(np.nan_to_num(mean) / max(top, 1.0), 0, 1)
+def shades(values: np.ndarray, colours: str) -> np.ndarray:
+    """Values as colours [..., 3], uint8, over the range that nearly all of them have."""
+    low, high = np.nanpercentile(values, [1, 99])
+    return (255 * plt.get_cmap(colours)((np.nan_to_num(values) - low) / (high - low))[..., :3]).astype(np.uint8)
 
 
 SIDES = ("width", "length")
@@ -331,7 +192,7 @@ OURS = {
 
 
 def run(stage: Stage) -> list[Metric]:
-    """Figures and pictures of the room."""
+    """Figures of the room, and its picture."""
     seen, known, truth = room(stage), draws(stage), true_size(stage)
     paper = {name: [_papers(seen, draw, name) for draw in known] for name in METHODS}
     stage.say("room by the paper's method")
@@ -340,7 +201,7 @@ def run(stage: Stage) -> list[Metric]:
     boards, again = [], []
     for number, path in enumerate(our_calibrations(stage)):
         scanner = jaxscan.load_scanner(path)
-        # All points for the pictures; planes through a tenth of them are as exact.
+        # All points for the picture; planes through a tenth of them are as exact.
         boards.append(_draw(stage, seen, scanner, middle) if number == 0 else _ours(stage, few, scanner))
         # Its compilation takes longer than the rest of a quick run.
         again += [] if stage.quick else [_ours(stage, few, recalibrated(stage, few, str(path)).scanner)]
@@ -365,22 +226,29 @@ def _middle(sizes: list[Size], truth: Size) -> int:
 
 
 def _draw(stage: Stage, seen: Room, scanner: jaxscan.Scanner, rival: Draw) -> Size:
-    """The pictures of the room, and its size by all points."""
+    """The picture of the room, and its size by all points."""
     cloud = our_cloud(stage, seen, scanner)
     box = box_of(cloud, scanner)
     if box is None:
         return NOT_MEASURED
     rgb = room_colours(stage, seen, cloud.xyz, scanner)
-    survey = survey_of(cloud.xyz[cloud.valid], rgb[cloud.valid], box)
-    there = paper_points(rival.paper, seen.plain["gravity"], seen.angles)
-    walls = box_of(there)
-    paper = None if walls is None else survey_of(there.xyz[there.valid], None, walls)
-    azimuth = np.rad2deg(np.broadcast_to(there.angle[:, None], there.valid.shape)[there.valid])
-    steps = f"{len(seen.angles)} steps, {stage.world} world"
-    draw_plans(stage.picture("figure_9"), survey, paper, azimuth, f"The room from above, {steps}")
-    sides = f"The walls of the room from within, {steps}"
-    draw_elevations(stage.picture("figure_9_sides"), survey, len(seen.angles), sides)
-    return size_of(box)
+    # Neighbouring profiles and rows are joined in the picture.
+    some = np.s_[:: max(1, len(seen.angles) // 900), ::4]
+    xyz = np.where(cloud.valid[..., None], cloud.xyz, 0.0)[some]
+    size, there = size_of(box), paper_points(rival.paper, seen.plain["gravity"], seen.angles)
+    by = size_of(box_of(there))
+    turned = np.broadcast_to(there.angle[:, None], there.valid.shape)
+    clouds = {
+        "Ours, without colour: by height": (xyz, shades(np.where(cloud.valid[some], xyz[..., 2], np.nan), "viridis")),
+        f"Ours, with colour: {size.width:.1f} x {size.length:.1f} mm": (xyz, rgb[some]),
+        f"The paper's method, the draw of median error, by table angle: {by.width:.0f} x {by.length:.0f} mm": (
+            there.xyz,
+            shades(turned, "twilight"),
+        ),
+    }
+    title = f"The room, cut open: {len(seen.angles)} steps, {stage.world} world"
+    draw_room(stage.picture("figure_9"), title, clouds)
+    return size
 
 
 def _table(sizes: list[Size], truth: Size) -> tuple[np.ndarray, np.ndarray]:

@@ -13,13 +13,9 @@ HEAD = """# The paper's tables and figures
 experiment says otherwise; the truth is used in the comparison alone. **Bold**: the figure misses its limit. The worlds,
 and what the figures do not show, are described in [the table of contents](../README.md#the-paper).
 
-![The room of Fig. 9 from above: ours without and with colour, and by the paper's method](paper/figure_9_kind.png)
+![The room of Fig. 9: ours without and with colour, and by the paper's method](paper/figure_9_kind.png)
 
-*The room of Fig. 9 in the kind world, from 3600 steps.*
-
-![The four walls of the room, without and with colour](paper/figure_9_sides_kind.png)
-
-*Its walls from within. The camera of the paper sees 32° up and down.*
+*The room of Fig. 9 in the kind world, from 3600 steps. The camera of the paper sees 32° up and down.*
 
 ![Two objects, without and with colour](paper/figure_8_kind.png)
 

@@ -18,8 +18,8 @@ from typing import NamedTuple
 import numpy as np
 
 import jaxscan
-from experiments.paper import methods
 from experiments.paper.methods import (
+    EXTRACTORS,
     Extract,
     PaperWay,
     calibrate_paper_way,
@@ -244,6 +244,39 @@ class RenderedSweep:
         return render_sweep(self.config, seed=self.seed, angles=self.angles, scene=self.scene)
 
 
+class PlainStripes(NamedTuple):
+    """The stripes of a sweep by a plain finder [records, rows]."""
+
+    u: np.ndarray
+    """Column [px]."""
+    valid: np.ndarray
+    grey: np.ndarray | None = None
+    """The laser-off image at the centres [DN]."""
+
+
+def plain_stripes(shape: tuple[int, int], first: int = 0) -> tuple[dict[str, PlainStripes], Watch]:
+    """Stripes by every plain finder, in the red channel of colour frames, and what fills them while a sweep is read.
+
+    Args:
+        shape: Records and rows.
+        first: Column of the whole image at which the frames begin; it is added to the stripes' [px].
+    """
+    found = {name: PlainStripes(np.zeros(shape), np.zeros(shape, bool), np.zeros(shape)) for name in EXTRACTORS}
+
+    def watch(start: int, on: np.ndarray, off: np.ndarray) -> None:
+        on, off = (frames if frames.ndim == 3 else frames[..., 0] for frames in (on, off))
+        for name, extract in EXTRACTORS.items():
+            u, valid = extract(on, off)
+            left = np.clip(u.astype(int), 0, off.shape[2] - 2)
+            low, high = (np.take_along_axis(off, at[..., None], 2)[..., 0].astype(float) for at in (left, left + 1))
+            parts = np.where(valid, u + first, 0), valid, low + (u - left) * (high - low)
+            # Frames may be read more than once: stripes are kept by the number of their record.
+            for whole, part in zip(found[name], parts, strict=True):
+                whole[start : start + len(part)] = part
+
+    return found, watch
+
+
 SETTINGS = CalibrationSettings(judge=False)
 """The tests of the models take longer than the solve, and no draw uses them."""
 _OURS = 1000
@@ -307,8 +340,7 @@ def our_calibrations(stage: Stage, count: int = 3) -> list[Path]:
     """Calibrations by our own protocol, each with its own noise; made once. A quick stage has one only."""
     count = 1 if stage.quick else count
     paths = [stage.product(f"draws/our_protocol_{number}.json") for number in range(count)]
-    known = [path.exists() and horus_path(stage, number).exists() for number, path in enumerate(paths)]
-    missing = [number for number in range(count) if not known[number]]
+    missing = [number for number, path in enumerate(paths) if not path.exists()]
     if missing:
         plan = our_plan(stage)
         folders = {_OURS + number: stage.emptied(f"draws/our_capture_{number}") for number in missing}
@@ -317,16 +349,10 @@ def our_calibrations(stage: Stage, count: int = 3) -> list[Path]:
         stage.say(f"rendered the {len(plan.lit)} views of our protocol")
         for number, capture in zip(missing, captures, strict=True):
             jaxscan.save_calibration(jaxscan.calibrate(capture, settings=SETTINGS), paths[number])
-            methods.save_horus(methods.calibrate_horus(capture), horus_path(stage, number))
         for folder in folders.values():
             shutil.rmtree(folder)
         stage.say(f"{len(missing)} calibrations by our protocol")
     return paths
-
-
-def horus_path(stage: Stage, number: int) -> Path:
-    """Where `our_calibrations` leaves a desk scanner's calibration of the same images, for `methods.load_horus`."""
-    return stage.product(f"draws/horus_{number}.npz")
 
 
 def with_stripes(way: PaperWay, capture: Capture, extract: Extract) -> PaperWay:
@@ -432,19 +458,9 @@ NEAR_M, FAR_M = 1.2, 4.0
 """Depths between which the room and its furniture lie, as a user knows [m]."""
 MARGIN = 40 / 2048
 """Columns read on either side of the stripe's, as a share of the image's width."""
-PLAIN = methods.EXTRACTORS | {"horus": methods.horus_scan, "horus_tuned": methods.horus_tuned}
 STRIDE = {"kind": 1, "unkind": 10}
 """Every n-th of the plan's steps is taken."""
 _QUICK_STEPS = 90
-
-
-class PlainStripes(NamedTuple):
-    """Stripes by a plain extractor."""
-
-    u: np.ndarray
-    """Column in the whole image [records, rows]; px."""
-    valid: np.ndarray
-    """bool [records, rows]."""
 
 
 class Room(NamedTuple):
@@ -453,7 +469,7 @@ class Room(NamedTuple):
     stripes: jaxscan.Stripes
     """By our extractor, within the gate of our first calibration; with colours."""
     plain: dict[str, PlainStripes]
-    """By the names of `PLAIN`."""
+    """By the names of `EXTRACTORS`."""
     angles: np.ndarray
     """As commanded [records]; rad."""
     window: tuple[int, int]
@@ -473,7 +489,7 @@ def room(stage: Stage) -> Room:
         partial.rename(path)
     with np.load(path) as kept:
         ours = {name.removeprefix("ours_"): kept[name] for name in kept.files if name.startswith("ours_")}
-        plain = {name: PlainStripes(kept[f"{name}_u"], kept[f"{name}_valid"]) for name in PLAIN}
+        plain = {name: PlainStripes(kept[f"{name}_u"], kept[f"{name}_valid"]) for name in EXTRACTORS}
         first, stop = kept["window"].tolist()
         return Room(jaxscan.Stripes(**ours), plain, kept["angles"], (first, stop))
 
@@ -506,16 +522,7 @@ def _sweep(stage: Stage) -> Room:
     angles = sweep_angles(config, every=every)
     first, stop = stripe_window(scanner, NEAR_M, FAR_M, MARGIN * config.camera.width)
     shape = len(angles), config.camera.height
-    plain = {name: PlainStripes(np.zeros(shape, np.float32), np.zeros(shape, bool)) for name in PLAIN}
-
-    def watch(start: int, on: np.ndarray, off: np.ndarray) -> None:
-        # The first frames come twice: the noise is learned from them.
-        part = slice(start, start + len(on))
-        for name, extract in PLAIN.items():
-            u, valid = extract(on, off)
-            plain[name].u[part] = np.where(valid, u + first, 0)
-            plain[name].valid[part] = valid
-
+    plain, watch = plain_stripes(shape, first)
     sweep = RenderedSweep(windowed(config, first, stop), angles, seed=config.seed, watch=watch)
     settings = jaxscan.ReconstructSettings(min_range_m=NEAR_M - 0.1, max_range_m=FAR_M + 0.3)
     stage.say(f"sweep of the room: {len(angles)} records")

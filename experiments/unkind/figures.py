@@ -112,6 +112,10 @@ def board_figures(stripes: TrueStripes, found: Rows) -> dict[str, Any]:
             "rms_px": rms(error[mine]),
             "error_over_stated": rms(error[mine] / found.sigma[mine]) if enough else float("nan"),
         }
+    out["amplitudes"] = {}
+    for low, high in AMPLITUDES:
+        mine = right & (amplitude >= low) & (amplitude < high)
+        out["amplitudes"][f"{low}-{high}"] = {"points": int(mine.sum()), "rms_px": rms(error[mine])}
     means = [error[k][right[k]].mean() for k in range(len(error)) if right[k].sum() >= 20]
     out["mean_of_view_px"] = float(np.abs(means).max()) if means else float("nan")
     return out
@@ -162,7 +166,8 @@ def sweep_figures(truth: Truth, stripes: TrueStripes, found: Rows) -> dict[str, 
     good = there & ~far & (amplitude < AMPLITUDES[-1][1])
     parts = (stripes.amplitude, stripes.width, stripes.background)
     bound = row_bound(truth, *(pick(part, number)[good] for part in parts))
-    strong = strong_rows(truth, stripes)
+    strong, brightest = strong_rows(truth, stripes), stripes.amplitude[..., 0]
+    clear = (stripes.surface[..., 0] >= 0) & ~stripes.edge[..., 0]
     close = found.valid & (np.abs(error) < NEAR_PX) & (amplitude > 0)
     out: dict[str, Any] = {
         "points": int(good.sum()),
@@ -172,6 +177,7 @@ def sweep_figures(truth: Truth, stripes: TrueStripes, found: Rows) -> dict[str, 
         "over_bound": rms(error[good]) / rms(bound),
         "found_share": float((strong & close).sum() / max(strong.sum(), 1)),
         "far_share": float(far.sum() / max(there.sum(), 1)),
+        "false_share": float((there & ~close).sum() / max(there.sum(), 1)),
         "stated_over_true": 1 / rms(error[good] / found.sigma[good]) if has_sigma else float("nan"),
         "classes": {},
     }
@@ -179,8 +185,11 @@ def sweep_figures(truth: Truth, stripes: TrueStripes, found: Rows) -> dict[str, 
         mine = good & (amplitude >= low) & (amplitude < high)
         of_class = mine[good]
         enough = mine.sum() >= LEAST_POINTS
+        due = clear & (brightest >= low) & (brightest < high)
         out["classes"][f"{low}-{high}"] = {
             "points": int(mine.sum()),
+            "due": int(due.sum()),
+            "found": int((due & close).sum()),
             "rms_px": rms(error[mine]),
             "bound_px": rms(bound[of_class]),
             "stated_over_true": 1 / rms(error[mine] / found.sigma[mine]) if enough and has_sigma else float("nan"),

@@ -179,6 +179,7 @@ def figures(world: tuple[truth.Truth, truth.TrueStripes, truth.TrueStripes], fou
     return {
         "rig": rig_figures(true, found.rig, ray_grid(true.size)),
         "boards": board_figures(boards, found.boards),
+        "observed": board_figures(boards, found.observed),
         "rows": sweep_figures(true, sweep, found.rows),
         "smooth": sweep_figures(true, sweep, found.smooth),
         "step": {"rows": raw["rows"], "smooth": smooth["rows"], "profiles": raw["profiles"]},

@@ -8,15 +8,17 @@ from experiments.unkind.truth import Dimension, Estimate, Rig, Rows, Truth, cloc
 from jaxscan.geometry import lit_points, lit_slopes
 
 
-def board_rows(calibration: jaxscan.Calibration, records: int, lines: int) -> Rows:
-    """The points of stripes on boards, as the solve kept and weighed them."""
+def board_rows(calibration: jaxscan.Calibration, records: int, lines: int, *, solved: bool) -> Rows:
+    """The points of stripes on boards: as the solve kept and weighed them, or all as they were observed."""
     seen, fit = calibration.observations, calibration.fit
     assert seen is not None and fit is not None
     u, sigma = np.zeros((records, lines)), np.ones((records, lines))
     valid = np.zeros((records, lines), bool)
     stripes = seen.stripes
-    for q, spread, kept, view in zip(stripes.q, fit.stripe_sigma, fit.stripe_inlier, stripes.view, strict=True):
+    own = (fit.stripe_sigma, fit.stripe_inlier) if solved else (stripes.sigma, stripes.valid)
+    for q, spread, kept, view in zip(stripes.q, *own, stripes.view, strict=True):
         record = int(seen.corners.record[view])
+        kept = np.asarray(kept)
         row = np.rint(np.asarray(q)[kept, 1]).astype(int)
         u[record, row], sigma[record, row], valid[record, row] = np.asarray(q)[kept, 0], np.asarray(spread)[kept], True
     return Rows(u, sigma, valid)
@@ -83,7 +85,7 @@ def estimate(folder: str, truth: Truth) -> Estimate:
     rows = rows._replace(u=rows.u.astype(float), sigma=rows.sigma.astype(float))
     return Estimate(
         own_rig(scanner, truth),
-        board_rows(calibration, len(boards), int(truth.size[1])),
+        *(board_rows(calibration, len(boards), int(truth.size[1]), solved=solved) for solved in (True, False)),
         rows,
         seen_rows(cloud, scanner),
         dimensions(cloud, scanner, truth),

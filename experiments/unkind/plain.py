@@ -99,6 +99,10 @@ class Solved:
                 axes.append(cv2.Rodrigues(turn)[0].ravel())
                 # Both are seen from the camera at a; brought to angle 0 below.
                 rows.append((turn, shift, records[a].angle or 0.0))
+        if not rows:
+            # No placement was seen twice: nothing but walls is judged by the axis.
+            self.direction, self.point = np.array([0.0, -1.0, 0.0]), np.zeros(3)
+            return
         direction = np.sum(axes, 0)
         self.direction = direction / np.linalg.norm(direction)
         # The axis has the same place in the camera's frame at every angle.
@@ -175,4 +179,4 @@ def estimate(folder: str, truth: Truth, sweep_truth: TrueStripes) -> Estimate:
     seconds = passed(start, calibrated, clocks())
     seen = on_boards._replace(valid=on_boards.valid & solved.on_board)
     found = dimensions(truth, points, wall_of(truth, sweep_truth, rows))
-    return Estimate(solved.rig(truth), seen, rows, rows, found, seconds)
+    return Estimate(solved.rig(truth), seen, seen, rows, rows, found, seconds)

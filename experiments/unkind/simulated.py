@@ -193,10 +193,14 @@ def true_world(config: SimulationConfig, rig: TrueRig, angles: np.ndarray) -> tr
 
 
 def render(seed: int, folder: Path) -> None:
+    """Write the world of a seed; the folder must not exist."""
+    render_config(draw_config(seed), folder)
+
+
+def render_config(config: SimulationConfig, folder: Path) -> None:
     """Write a world; the folder must not exist."""
     folder.mkdir(parents=True)
-    config = draw_config(seed)
-    rig, scene, rng = make_rig(config), make_scene(config), np.random.default_rng([seed, 42])
+    rig, scene, rng = make_rig(config), make_scene(config), np.random.default_rng([config.seed, 42])
     rows = Rows(rig, scene)
     picture = make_print(config.boards, board_texture(config.boards.board(), TEXTURE_PX))
 

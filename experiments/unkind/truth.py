@@ -140,6 +140,8 @@ class Estimate(NamedTuple):
     rig: Rig
     boards: Rows
     """On the board alone; sigma across the stripe, as the solve states it."""
+    observed: Rows
+    """The same before the solve: all points of the observation, with its own sigmas."""
     rows: Rows
     """Of the sweep, row by row."""
     smooth: Rows

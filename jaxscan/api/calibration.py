@@ -207,13 +207,13 @@ def solve_again(stored: Calibration, *, name: str = "calibration") -> Again:
         raise CalibrationError(
             f"{name}: has no observations beside it (.npz of the same name), so it cannot be solved."
         )
-    # Whoever asks again wants to know whether the models suffice.
+    # A second solve is also asked whether the models suffice.
     settings = replace(stored_settings(stored.provenance, name=name), judge=True)
     if stored.scanner is None:
         settings = replace(settings, only="camera")
     again = calibrate_observations(stored.observations, settings=settings, known=_held(stored))
     departure, parameter = largest_departure(stored, again)
-    # Only the images could tell again how much their second look gained.
+    # The gain of the second look can only be computed from the images.
     quality = replace(again.quality, redetected=stored.quality.redetected)
     return Again(replace(again, provenance=stored.provenance, quality=quality), departure, parameter)
 

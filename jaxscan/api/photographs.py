@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxscan.api.stages import Stage, Stages, megapixels
 from jaxscan.errors import CalibrationError, CaptureError, CloudError, OutputError
 from jaxscan.files.capture import Capture
 from jaxscan.files.clouds import FlatPicture, RoundPicture, StoredCloud, Surroundings, save_cloud_with_pictures
@@ -127,7 +128,7 @@ def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progr
         cloud: Points with the colours of their stripes; those keep it that no photograph shows.
         capture: The sweep that it is of.
         scanner: The rig that took it.
-        progress: Called with (images read, images in all).
+        progress: Called with (work done, work in all).
 
     Returns:
         The cloud with other colours, in the camera's own response.
@@ -137,7 +138,10 @@ def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progr
         CalibrationError: If the calibration is for images of another size.
         CloudError: If the cloud has no grid.
     """
-    photographs = open_photographs(capture, scanner, "points", progress=progress)
+    images = megapixels(*capture.image_size, len(chosen_photographs(capture, scanner, "points")))
+    # Seconds of one processor, as of the other stages.
+    told = Stages(progress, (Stage(2.3, 0.045 * images),)).part(0)
+    photographs = open_photographs(capture, scanner, "points", progress=told)
     own, _ = in_scanner_frame(cloud)
     occluder = make_occluder(own, scanner)
     points = own.points()

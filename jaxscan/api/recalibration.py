@@ -91,7 +91,7 @@ def register(
 ) -> tuple[Adjusted, tuple[str, ...]]:
     """The places from which sweeps of one room were taken, by its walls; and notes on the captures.
 
-    Features of the images are tracked only where walls alone leave a station open.
+    Targets are looked for in the images only where walls alone leave a station open.
 
     Args:
         captures: Sweeps, each from a place of its own; the first is in the middle of the frame.
@@ -120,7 +120,7 @@ def register(
             return found, tuple(notes)
     except CalibrationError as raised:
         problem = raised
-    # Features may tell what walls do not.
+    # Targets may determine what walls leave open.
     tracks, said = recalibration.observe_features(captures, sweeps, scanner, _feature_eyes(), settings, None)
     if tracks is not None:
         found = recalibration.register(sweeps, stored, settings, Given(tracks=tracks))
@@ -136,11 +136,11 @@ def register(
 
 
 _OPEN_M = 0.01
-"""A station whose place is known no better than this one standard deviation is open to the walls [m]."""
+"""If the place of a station has a larger standard deviation [m], the walls leave it open."""
 
 
 def _open(found: Adjusted) -> bool:
-    """Whether the place of a station is not told."""
+    """Whether the place of a station is not determined."""
     places = np.asarray(found.station_covariance)[1:, :3, :3]
     return bool(len(places)) and float(np.linalg.eigvalsh(places).max()) > _OPEN_M**2
 

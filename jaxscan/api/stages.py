@@ -22,7 +22,7 @@ class Stages:
     """Progress of stages, one after the other."""
 
     def __init__(self, progress: Tell | None, stages: Sequence[Stage]) -> None:
-        """Nothing is done yet; None tells nobody."""
+        """Begin the first stage; with None nothing is reported."""
         self._progress, self._stages = progress, stages
         sizes = [stage.begins + stage.lasts for stage in stages]
         self._before = [sum(sizes[:number]) for number in range(len(sizes) + 1)]
@@ -41,7 +41,7 @@ class Stages:
         return progress
 
     def done(self, number: int) -> None:
-        """A stage that tells nothing of its own is over."""
+        """A stage without progress of its own is over."""
         if (tell := self.part(number)) is not None:
             tell(1, 1)
 

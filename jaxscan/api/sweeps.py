@@ -14,6 +14,7 @@ from jaxscan.files.capture import Capture, cache_path, cached_stripes, code_dige
 from jaxscan.geometry import Scanner
 from jaxscan.reconstruction import (
     DEFAULTS,
+    Decoys,
     FrameWatch,
     PointCloud,
     Progress,
@@ -197,7 +198,7 @@ def numbers_of(capture: Capture) -> list[int]:
 FORMAT = "jaxscan-stripe-part/1"
 Part = Mapping[str, np.ndarray]
 """Plain arrays, as an `.npz` file holds them."""
-_CLEAR, _DECOYS, _ABOUT, _STRIPE = "searched_clear", "searched_decoys", "about", "stripe_"
+_DECOY, _ABOUT, _STRIPE = "decoy_", "about", "stripe_"
 
 
 def ranges_of(capture: Capture, records: int) -> tuple[tuple[int, int], ...]:
@@ -238,11 +239,11 @@ def stripes_of_range(
     part = dataclasses.replace(capture, records=capture.records[first:stop])
     watch, before = watch_of(part, scanner), int(np.searchsorted(capture.record, first))
     found = extract_part(plan, part.watched(watch.look), before, progress=progress)
-    about = {"key": _key(capture, settings), "records": [first, stop], "found": found.found}
-    about |= {"notes": found.notes, "noise": found.noise}
+    about = {"key": _key(capture, settings), "records": [first, stop], "notes": found.notes, "noise": found.noise}
     arrays = {_STRIPE + name: field for name, field in found.fields.items()} | watch.seen.arrays()
+    arrays |= {_DECOY + name: field for name, field in found.decoys._asdict().items()}
     text = np.frombuffer(json.dumps(about, allow_nan=False).encode(), np.uint8)
-    return arrays | {_CLEAR: found.clear, _DECOYS: found.decoys, _ABOUT: text}
+    return arrays | {_ABOUT: text}
 
 
 def cloud_of_ranges(
@@ -286,7 +287,7 @@ def _key(capture: Capture, settings: ReconstructSettings) -> dict[str, Any]:
 def _about(part: Part, capture: Capture) -> tuple[dict[str, Any], Part]:
     try:
         about = json.loads(part[_ABOUT].tobytes())
-        return {name: about[name] for name in ("key", "records", "found", "notes", "noise")}, part
+        return {name: about[name] for name in ("key", "records", "notes", "noise")}, part
     except (KeyError, TypeError, ValueError) as problem:
         raise CaptureError(f"{capture.path}: a part of its stripes is none ({FORMAT}).") from problem
 
@@ -305,9 +306,8 @@ def _check(described: Sequence[tuple[dict[str, Any], Part]], capture: Capture, s
 
 def _part(about: dict[str, Any], part: Part) -> StripePart:
     fields = {name.removeprefix(_STRIPE): field for name, field in part.items() if name.startswith(_STRIPE)}
-    return StripePart(
-        fields, part[_CLEAR], part[_DECOYS], about["found"], notes=tuple(about["notes"]), noise=about["noise"]
-    )
+    decoys = Decoys(*(part[_DECOY + name] for name in Decoys._fields))
+    return StripePart(fields, decoys, notes=tuple(about["notes"]), noise=about["noise"])
 
 
 def _seen(parts: Sequence[Part], records: int) -> Seen:

@@ -148,11 +148,12 @@ def cure_causes(tests: Sequence[ModelTest], good_to: GoodTo, settings: Calibrati
     """Advice against the causes that are worth a word, the largest first."""
     rig, held = good_to.sigma_mm is not None, lambda block: block not in settings.free
     whole = (good_to.sigma_mm if rig else good_to.sigma_px) or 0.0
-    effects = [((test.effect_mm if rig else test.effect_px) or 0.0, test.name) for test in tests]
+    effects = [((test.effect_mm if rig else test.effect_px) or 0.0, test) for test in tests]
     lines = {
         "board": "free the board's shape (do not hold `warp` or `shape`)"
         if held("warp") or held("shape")
         else "glue the board to something flat and stiff, and take more poses of it",
+        "paper": "glue the board on a flat and stiff plate (glass, aluminium), and take its records again",
         "table": "do not hold `harmonics`" if held("harmonics") else f"capture {_CURES[ANGLE_PARAMETERS]}",
         "axis": "check that no board, camera or laser can move while the table turns, and its bearing for play",
         "sheet": "let the sheet bow (`--free bow`)"
@@ -163,7 +164,8 @@ def cure_causes(tests: Sequence[ModelTest], good_to: GoodTo, settings: Calibrati
         "lines": "see that neither board nor laser moves between the images of a record, and take again the records "
         "whose line was left out",
     }
-    named = [name for effect, name in sorted(effects, reverse=True) if limits.is_named(effect, whole)]
+    worth = [(effect, test) for effect, test in effects if limits.is_named(effect, whole) or test.bend_mm]
+    named = [test.name for _, test in sorted(worth, key=lambda part: -part[0])]
     return tuple(lines[name] for name in named if name in lines)
 
 

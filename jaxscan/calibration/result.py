@@ -110,7 +110,7 @@ class ModelTest:
     """Whether one model leaves structure in the residuals, and the harm that this does."""
 
     name: str
-    """"lens", "board", "table", "axis", "sheet", "halves", "regions" or "lines"."""
+    """"lens", "board", "paper", "table", "axis", "sheet", "halves", "regions" or "lines"."""
     statistic: float
     """With the sigmas that the detectors promise."""
     dof: int
@@ -124,6 +124,8 @@ class ModelTest:
     """Its part of `GoodTo.sigma_px` [px]."""
     where: str | None = None
     """Where the lens falls short most: "in the corners", "at the edges" or "in the middle"; None where it is alike."""
+    bend_mm: float | None = None
+    """Root mean square height by which a board of paper differs from placement to placement [mm]."""
 
 
 @dataclass(frozen=True)

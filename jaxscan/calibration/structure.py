@@ -37,7 +37,7 @@ from jaxscan.observation import Observations
 # order of the projection, which is no noise; of the next powers of the radius little else remains, and stops that err
 # by chance imitate a fault of the table but for the part that chance makes unlikely.
 _IMITATED, _IMITATED_BY = 1e-2, {"radial": 1e-3, "table": 1e-6}
-_ORDER = ("lens", "board", "table", "axis", "sheet")
+_ORDER = ("lens", "board", "paper", "table", "axis", "sheet")
 # The halves are compared again, with the weights promised, where the noise differs from the promise by this share.
 _REPEATED = 0.05
 # Square of what noise alone gives a direction, at two standard deviations.
@@ -69,8 +69,8 @@ class Score(NamedTuple):
     taken: Float[np.ndarray, "terms shared"]
     """$(J^T J)^{-1} J^T E$: how the shared unknowns imitate each term."""
     places: dict[str, Int[np.ndarray, " _own"]]
-    """Positions of the terms of each model: "lens", "radial" (a part of it), "board", and where there are any "table",
-    "axis" and "sheet"."""
+    """Positions of the terms of each model: "lens", "radial" (a part of it), "board", "paper", and where there are any
+    "table", "axis" and "sheet"."""
     shapes: dict[str, np.ndarray]
     """What a unit of each term does: to corners [views, rows, terms], px, for lens and radial; to stripe points
     [stripes, points, terms], px, for the sheet; to positions of the motion [views, terms], rad or m, for the table."""
@@ -112,24 +112,30 @@ def find_harm(result: Adjustment, settings: CalibrationSettings, given: Observat
     """Test the models of a finished solve, and find the error that the structure in its residuals does.
 
     Returns:
-        The tests that the data allow: "lens", "board", "table" (its angles), "axis" (whether it stands still), "sheet",
-        then the cross-validations "halves", "regions" and "lines", which count for the part that others do not cover.
+        The tests that the data allow: "lens", "board", "paper" (whether the board bends from placement to placement),
+        "table" (its angles), "axis" (whether it stands still), "sheet", then the cross-validations "halves", "regions"
+        and "lines", which count for the part that others do not cover.
         The same residuals may fail several tests: a model that adds nothing to others does no harm.
     """
     score, scales = score_models(result), np.asarray(result.problem.scales)
     looks = {name: _look(score, name) for name in (*_ORDER, "radial") if name in score.places}
+    looks["paper"] = _look_at_paper(score)
     tests, splits = _score_tests(result, looks), _cross_validations(result, settings)
     count = len(tests) + len(splits)
     fails = lambda test: result_of_test(test.p, test.p_structure, count) == "structure"
     failed = {test.name for test in tests if fails(test)}
     suspects = [name for name in looks if ("lens" if name == "radial" else name) in failed]
-    missing, found, none = _explain(score, suspects, count, scales), list[Harm](), np.zeros((0, len(scales)))
+    missing, found = _explain(score, suspects, looks["paper"], count, scales), list[Harm]()
+    none = np.zeros((0, len(scales)))
     for test in tests:
         steps, where = _steps_of(result, score, missing[test.name]) if test.name in missing else (none, None)
-        found.append(Harm(replace(test, where=where), steps))
+        bend_mm = _bend_mm(result.problem, score, missing["paper"]) if test.name == "paper" and len(steps) else None
+        found.append(Harm(replace(test, where=where, bend_mm=bend_mm), steps))
     for test, split in splits:
         before = np.concatenate([none, *(harm.steps for harm in found)])
-        steps = split.beyond(before.T @ before, scales)[None] if fails(test) else none
+        # Boards that bend do more harm to a part of the records than to all: it says nothing about the whole.
+        beyond = fails(test) and "paper" not in missing
+        steps = split.beyond(before.T @ before, scales)[None] if beyond else none
         told = test.name != "regions" or not len(steps) or beyond_noise(result, split, steps)
         found.append(Harm(test, steps if told else none))
     lines = put_back_lines(result, given) if len(result.problem.lasers.distance) else []
@@ -218,21 +224,43 @@ def _look(score: Score, name: str, known: _Seen | None = None) -> _Seen:
     return _Seen(root, own.T @ gradient)
 
 
-def _explain(score: Score, suspects: Sequence[str], tests: int, scales: np.ndarray) -> dict[str, _Missing]:
-    """The terms that explain the structure, by test: those of the likeliest model, then those of the remainder."""
-    known, left, found = _Seen(np.zeros((len(score.own), 0)), np.zeros(0)), list(suspects), {}
+def _look_at_paper(score: Score) -> _Seen:
+    """The score of boards that bend, beside all that lens, board and sheet could lack: what differs between boards."""
+    known = _nothing_seen(score)
+    for name in ("lens", "board", "sheet"):
+        if name in score.places:
+            known = _joined(known, _look(score, name, known))
+    return _look(score, "paper", known)
+
+
+def _nothing_seen(score: Score) -> _Seen:
+    return _Seen(np.zeros((len(score.own), 0)), np.zeros(0))
+
+
+def _joined(one: _Seen, other: _Seen) -> _Seen:
+    return _Seen(np.concatenate([one.root, other.root], axis=1), np.concatenate([one.parts, other.parts]))
+
+
+def _explain(
+    score: Score, suspects: Sequence[str], paper: _Seen, tests: int, scales: np.ndarray
+) -> dict[str, _Missing]:
+    """The terms that explain the structure, by test: those of the likeliest model, then those of the remainder.
+
+    Boards that bend imitate much else, so they are the likeliest by what no other model explains, or are none.
+    """
+    known, left, found = _nothing_seen(score), list(suspects), dict[str, _Missing]()
     while left:
         looks = {name: _look(score, name, known) for name in left}
-        name = max(left, key=lambda name: looks[name].surprise)
+        name = max(left, key=lambda name: (paper if name == "paper" else looks[name]).surprise)
         root, parts = looks[name]
         p = chance_of(looks[name].statistic, len(parts))
         if result_of_test(p, p, tests) != "structure":
             break
-        left.remove(name)
+        left = [other for other in left if other not in (name, "paper")]
         if name not in ("table", "axis"):
             # Directions that say no more than noise does would add its error, not the model's.
             parts = parts * np.maximum(1.0 - _CHANCE / np.maximum(parts**2, _CHANCE), 0.0)
-        known = _Seen(np.concatenate([known.root, root], axis=1), np.concatenate([known.parts, parts]))
+        known = _joined(known, _Seen(root, parts))
         size = root @ parts
         found["lens" if name == "radial" else name] = _Missing(size, root, size @ score.taken * scales)
     return found
@@ -241,7 +269,8 @@ def _explain(score: Score, suspects: Sequence[str], tests: int, scales: np.ndarr
 def score_models(result: Adjustment) -> Score:
     """Score of every model at the minimum of a solve.
 
-    Terms of "axis", and of "table" where stops are exact, are those of single views, of `repeated_views`.
+    Terms of "axis", and of "table" where stops are exact, are those of single views, of `repeated_views`; those of
+    "paper" are of single placements.
     """
     problem, linear, (width, height) = result.problem, result.linearised, result.data.size
     half, views = np.array([width, height]) / 2.0, repeated_views(problem)
@@ -254,40 +283,50 @@ def score_models(result: Adjustment) -> Score:
     corner["board"] = _board_terms(problem, twist[..., :3])
     # The mean of the residuals is one more term, of known size, that the unknowns imitate in part.
     corner["bend"] = (_mean_residual(result) * weight)[..., None]
-    single: dict[str, np.ndarray] = {}
+    # Terms that each view or placement has for itself.
+    used = np.any(weight > 0, axis=1)
+    of_board = np.unique(np.asarray(problem.placement)[used])
+    of_view, of_placement = _numbers(views, len(used)), _numbers(of_board, len(problem.poses))
+    bent = twist[..., 2, None] * np.repeat(_bends(problem, np.asarray(problem.board)[:, :2]), 2, axis=0)
+    single = {"paper": _Single(bent, of_placement[np.asarray(problem.placement)])}
     # An axis that is held may have no views that show it.
     if problem.turntable.blocks and len(views):
         shapes["table"] = _turn_terms(problem, views)
         turned = np.einsum("vrd,vd->vr", twist, moving_twist(linear.view_poses, problem.turntable))[..., None]
         if shapes["table"].shape[1] == len(views):
-            single["table"] = turned
+            single["table"] = _Single(turned, of_view)
         else:
             corner["table"] = np.zeros((*turned.shape[:2], shapes["table"].shape[1]))
             corner["table"][views] = turned[views] * shapes["table"][:, None]
-        single["axis"] = twist
-    groups = [(corner, linear.corner_slopes, linear.chains.corner, problem.placement, linear.corner_error * weight)]
+        single["axis"] = _Single(twist, of_view)
+    residual = linear.corner_error * weight
+    groups = [(corner, single, linear.corner_slopes, linear.chains.corner, problem.placement, residual)]
     if len(problem.lasers.distance):
         shapes["sheet"], weight = _sheet_terms(result), np.asarray(problem.stripe_weight)
         sheet = {"sheet": shapes["sheet"] * (linear.slope * weight)[..., None]}
-        owner = problem.stripe_placement()
-        groups.append((sheet, linear.stripe_slopes, linear.chains.stripe, owner, linear.offset * weight))
+        owner, twist = problem.stripe_placement(), linear.stripe_slopes[..., camera : camera + 6]
+        # A turn about x lifts a point by its y, one about y lowers it by its x.
+        rise = np.where(weight > 0, twist[..., 2], 1.0)
+        bent = rise[..., None] * _bends(problem, np.stack([-twist[..., 4], twist[..., 3]], -1) / rise[..., None])
+        own = {"paper": _Single(np.where(weight[..., None] > 0, bent, 0.0), of_placement[np.asarray(owner)])}
+        groups.append((sheet, own, linear.stripe_slopes, linear.chains.stripe, owner, linear.offset * weight))
     sizes = {name: terms.shape[-1] for terms_of, *_ in groups for name, terms in terms_of.items()}
-    sizes |= {name: len(views) * terms.shape[-1] for name, terms in single.items()}
+    sizes |= {name: (int(of.max()) + 1) * terms.shape[-1] for name, (terms, of) in single.items()}
     ends = np.cumsum([0, *sizes.values()]).tolist()
     places = {name: np.arange(*part) for name, *part in zip(sizes, ends[:-1], ends[1:], strict=True)}
     count, shared = ends[-1], len(problem.scales)
     gradient, gram, met = np.zeros(count), np.zeros((count, count)), np.zeros((count, shared))
     met_by = np.zeros((len(problem.poses), count, problem.own))
-    for terms_of, slopes, chain, block, residual in groups:
+    for terms_of, alone, slopes, chain, block, residual in groups:
         common = np.concatenate([places[name] for name in terms_of])
         every = np.concatenate(list(terms_of.values()), axis=-1)
-        of_view = {int(view): k for k, view in enumerate(views)} if terms_of is corner else {}
         for number in np.flatnonzero(np.any(residual, axis=1)).tolist():
             terms, columns = every[number], common
-            if (row := of_view.get(number)) is not None and single:
-                terms = np.concatenate([terms, *(of[number] for of in single.values())], axis=1)
-                own = [places[name].reshape(len(views), -1)[row] for name in single]
-                columns = np.concatenate([common, *own])
+            for name, (values, of) in alone.items():
+                if of[number] >= 0:
+                    terms = np.concatenate([terms, values[number]], axis=1)
+                    own = places[name].reshape(-1, values.shape[-1])[of[number]]
+                    columns = np.concatenate([columns, own])
             gradient[columns] += terms.T @ residual[number]
             gram[np.ix_(columns, columns)] += terms.T @ terms
             times = terms.T @ slopes[number] @ chain[number]
@@ -304,6 +343,21 @@ def score_models(result: Adjustment) -> Score:
     for name in ("lens", "radial", "board"):
         gradient[places[name]] -= variance[places[name], bend]
     return Score(gradient, np.diag(gram).copy(), variance, taken, places, shapes)
+
+
+class _Single(NamedTuple):
+    """Terms that every view or placement has for itself."""
+
+    terms: Float[np.ndarray, "owners rows terms"]
+    of: Int[np.ndarray, " owners"]
+    """The number of each owner's terms, -1 for none."""
+
+
+def _numbers(there: Int[np.ndarray, " there"], count: int) -> Int[np.ndarray, " count"]:
+    """The place of each number in a list, -1 where it is not there."""
+    number = np.full(count, -1)
+    number[there] = np.arange(len(there))
+    return number
 
 
 def repeated_views(problem: Problem) -> Int[np.ndarray, " repeated"]:
@@ -366,6 +420,12 @@ def _board_terms(problem: Problem, shift: Float[np.ndarray, "views rows 3"]) -> 
     return np.concatenate(
         [by[..., None] * np.repeat(_polynomials(where, degree), 2, axis=0) for by, degree in parts], axis=-1
     )
+
+
+def _bends(problem: Problem, xy: Float[np.ndarray, "... 2"]) -> Float[np.ndarray, "... 3"]:
+    """Heights of the second degree at places on the board."""
+    x, y = np.moveaxis((xy - problem.frame[:2]) / problem.frame[2:], -1, 0)
+    return np.stack([x * x, x * y, y * y], axis=-1)
 
 
 def _sheet_terms(result: Adjustment) -> Float[np.ndarray, "stripes points terms"]:
@@ -450,6 +510,17 @@ def _of_lens(result: Adjustment, shape: np.ndarray, imitation: np.ndarray) -> tu
         steps += [_one(names, focal, size / reach), _one(names, centre, np.sqrt(0.5) * size)]
     half = np.array(result.data.size) / 2.0
     return steps, _zone((_seen_corners(result)[used[:, ::2]] - (half - 0.5)) / half, field.reshape(-1, 2))
+
+
+def _bend_mm(problem: Problem, score: Score, missing: _Missing) -> float:
+    """Root mean square height by which the board differs from placement to placement, less the part of noise [mm]."""
+    own, board = score.places["paper"], np.asarray(problem.board)[:, :2]
+    heights, plane = _bends(problem, board), np.column_stack([np.ones(len(board)), board])
+    heights = heights - plane @ np.linalg.lstsq(plane, heights, rcond=None)[0]
+    shapes, chance = missing.size[own].reshape(-1, 3), missing.noise[own].reshape(-1, 3, missing.noise.shape[1])
+    square = np.mean(((shapes - shapes.mean(0)) @ heights.T) ** 2)
+    by_chance = np.mean(np.sum((heights @ chance) ** 2, axis=-1))
+    return 1e3 * float(np.sqrt(max(square - by_chance, 0.0)))
 
 
 def _zone(place: np.ndarray, field: np.ndarray) -> str | None:

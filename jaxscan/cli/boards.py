@@ -231,7 +231,8 @@ class CommandOperator:
 
 
 def coverage_lines(seen: "Coverage", *, laser: bool = True) -> list[str]:
-    """Coverage by the poses so far, as text: the cells of the image that have corners, and three facts beside them."""
+    """Coverage by the poses so far, as text: the cells of the image that have corners, with tilts, depths and
+    lasers."""
     from jaxscan.geometry.coverage import MIN_IN_CELL, MIN_TILT_DEG
 
     cells = [" ".join("■" if count >= MIN_IN_CELL else "·" for count in row) for row in seen.corners]

@@ -10,6 +10,7 @@ import tyro
 
 import jaxscan
 from jaxscan import api, measurement, reconstruction
+from jaxscan.api.stages import Stage, Stages
 from jaxscan.cli.measure import in_metres, notes_first, upright
 from jaxscan.cli.options import (
     CLOUD_SUFFIXES,
@@ -360,11 +361,13 @@ def register(
 
 def _register_sweeps(sweeps: list[Path], calibration: Path, output: Path, out: Terminal) -> list[dict[str, Any]]:
     captures = [api.open_capture(path) for path in sweeps]
-    with progress_bar("Registering") as progress:
-        adjusted, notes = api.register(captures, calibration, progress=progress)
-    out.notes([*calibration_files.calibration_notes(calibration), *notes])
     digest = calibration_files.calibration_digest(calibration)
-    api.save_recalibrated_cloud(captures, adjusted, adjusted.scanner, output, calibration_digest=digest)
+    with progress_bar("Registering") as progress:
+        # Their clouds take a sixth of the time.
+        stages = Stages(progress, (Stage(0.0, 5.0), Stage(1.0)))
+        adjusted, notes = api.register(captures, calibration, progress=stages.part(0))
+        api.save_recalibrated_cloud(captures, adjusted, adjusted.scanner, output, calibration_digest=digest)
+    out.notes([*calibration_files.calibration_notes(calibration), *notes])
     return [_station(*one) for one in zip(adjusted.stations, adjusted.station_covariance, strict=True)]
 
 
@@ -380,13 +383,13 @@ def _stack_clouds(paths: tuple[Path, ...], output: Path) -> list[dict[str, Any]]
     together = reconstruction.stack_placed([one.cloud for one in stored])
     api.save_cloud(together, output, calibration_digest=digests.pop() if len(digests) == 1 else "")
     stations = together.stations
-    # Each of the clouds has some, or it was refused.
+    # Every cloud has stations: one without was refused above.
     each = () if stations is None else zip(stations.pose, stations.covariance, strict=True)
     return [_station(*one) for one in each]
 
 
 def _station(pose: np.ndarray, covariance: np.ndarray) -> dict[str, Any]:
-    """Where a station is, and the largest standard deviation of that; None where it is not known."""
+    """Position of a station, and the largest standard deviation of its coordinates; None where that is unknown."""
     variance = float(np.linalg.eigvalsh(np.asarray(covariance)[:3, :3])[-1])
     at = [float(value) for value in np.asarray(pose)[:3, 3]]
     return {"pose": np.asarray(pose).tolist(), "at_m": at, "sigma_m": variance**0.5 if variance > 0 else None}

@@ -15,7 +15,7 @@ def open_standard_files() -> None:
         try:
             os.fstat(number)
         except OSError:
-            # The next file that is opened would take its place, and messages would go into it.
+            # Otherwise the next file that is opened would take its number, and messages would go into that file.
             os.open(os.devnull, os.O_RDWR)
     for stream in (sys.stdout, sys.stderr):
         if stream is not None and hasattr(stream, "reconfigure"):
@@ -56,7 +56,7 @@ def keep_compiled_code() -> None:
     compiled = cache / "compiled"
     try:
         compiled.mkdir(parents=True, exist_ok=True)
-        # Those of a process that was killed between opening and writing; JAX would never replace them.
+        # Empty files, left by a process that was killed before it wrote; JAX would never replace them.
         for entry in os.scandir(compiled):
             # Another process may remove it at the same time.
             with contextlib.suppress(OSError):

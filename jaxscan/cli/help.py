@@ -33,7 +33,7 @@ class Entry(NamedTuple):
     many: int | None = 1
     """How many values there are; None for any number of them."""
     unshown: tuple[str, ...] = ()
-    """Names that are understood too: those that switch off what is off."""
+    """Hidden names: the `--no-` form of a switch that is off by default."""
 
 
 def entries_of(function: Callable[..., Any]) -> list[Entry]:
@@ -245,7 +245,7 @@ def mistake(words: Sequence[str], prog: str, entries: Sequence[Entry]) -> str | 
         # Words behind an option with any number of values may be arguments.
         perhaps += len(values) if entry.many is None else 0
     expected = [entry for entry in entries if not entry.names]
-    # Where any number is taken, the verb itself says that none is too few.
+    # Where any number of words is allowed, the verb itself refuses none.
     missing = [entry for entry in expected if entry.required and entry.many == 1][len(arguments) + perhaps :]
     missing += [entry for entry in entries if entry.names and entry.required and not used & set(entry.names)]
     if missing:
@@ -257,7 +257,7 @@ def mistake(words: Sequence[str], prog: str, entries: Sequence[Entry]) -> str | 
 
 
 def _to_type(prog: str, words: Sequence[str], arguments: Sequence[str], missing: Sequence[Entry]) -> str:
-    """The whole command, where nothing but a file to write is missing whose suffix is known; else empty."""
+    """The completed command if only the output file is missing and its suffix is known; else empty."""
     suffix = re.search(r"\((\.\w+)", missing[0].text)
     if suffix is None or len(missing) > 1 or not arguments or "--output" not in missing[0].names:
         return ""
@@ -293,7 +293,7 @@ def _expected(entry: Entry) -> str:
 
 
 def _near(word: str, names: Sequence[str]) -> str:
-    """The name that was meant, as a question; also by its first letters."""
+    """The most similar name, or the one that begins so, as a question; else empty."""
     close = difflib.get_close_matches(word, names, n=1, cutoff=0.6)
     close = close or [name for name in names if len(word) > 3 and name.startswith(word)][:1]
     return f'Did you mean "{close[0]}"? ' if close else ""

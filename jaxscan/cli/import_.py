@@ -50,8 +50,8 @@ def import_(
 ) -> None:
     """Make a capture of another program's images: `jaxscan import FOLDER -o captures/room --step-deg 0.9`.
 
-    Without patterns the roles of the images are recognised by the words in their names, or by the layout of
-    FabScanPi or thot. A calibration: `jaxscan import FOLDER -o captures/boards --board "chessboard 11x6 13mm"`. With
+    Without patterns the roles of the images are recognised by the words in their names, or by the layout of FabScanPi.
+    A calibration: `jaxscan import FOLDER -o captures/boards --board "chessboard 11x6 13mm"`. With
     patterns: `jaxscan import FOLDER -o captures/room --on 'l_*.png' --off 'b_*.png' --step-deg 0.9`. Two lasers:
     `--on 'left_*.png' 'right_*.png'`. A video: `--on laser.avi`. The images are copied, packed without loss.
 

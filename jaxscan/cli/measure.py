@@ -206,10 +206,10 @@ def _sigma_notes(cloud: "PointCloud") -> list[str]:
 
 
 def finite(result: dict[str, Any]) -> dict[str, Any]:
-    """The result, if all its numbers are some.
+    """The result, if all its numbers are finite.
 
     Raises:
-        MeasurementError: With the name of the first that is none.
+        MeasurementError: With the name of the first that is not.
     """
     for name, value in result.items():
         if isinstance(value, dict):

@@ -121,7 +121,7 @@ class Place(NamedTuple):
     """A file or folder that a verb reads or writes."""
 
     role: str
-    """The option or argument that names it, or another sentence's subject."""
+    """The option or argument that names it, or another subject for the message."""
     path: Path
 
     def __str__(self) -> str:

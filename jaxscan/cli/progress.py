@@ -35,7 +35,7 @@ def duration(seconds: float) -> str:
     """A time that is left, in words."""
     if seconds < 90:
         return f"{seconds:.0f} s"
-    # Half a minute more or less is a third of the first ones.
+    # Rounding to half minutes would be a third of the shortest times.
     minutes = round(seconds / 30) / 2 if seconds < 600 else float(math.ceil(seconds / 60))
     return f"{minutes:g} min" if minutes < 90 else f"{int(minutes) // 60} h {int(minutes) % 60} min"
 
@@ -49,7 +49,7 @@ class Remaining:
 
         Args:
             now: The time [s].
-            from_first: What comes before the first call is not like what comes after it.
+            from_first: Start the clock at the first call: the work before it is of another kind.
         """
         self._now = now
         self._begun: tuple[float, int] | None = None if from_first else (now(), 0)

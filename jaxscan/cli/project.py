@@ -68,7 +68,7 @@ def init(
         project = projects.load_project(target)
         steps, notes = len(projects.steps_of(project)), [*project.notes, *projects.board_notes(project)]
     except JaxscanError:
-        # What is in the way, a name that two captures have say, is mended in the folder; then it is called again.
+        # Conflicts, such as two captures of one name, are for the user to solve in the folder.
         target.unlink()
         raise
     out = console(json)
@@ -101,7 +101,7 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
         states = found.states
     out, counts = console(json), counted(states)
     shown = [one for one in states if all or len(states) <= _MOST_ROWS or one.state != "done"]
-    # What asks for something comes first.
+    # Rows that need attention come first.
     shown.sort(key=lambda one: _ORDER.index(one.state))
     listed = shown if all else shown[:_MOST_ROWS]
     if listed:

@@ -117,7 +117,7 @@ def recalibrate(
                 captures, result.adjusted, result.scanner, cloud, settings=stripes, calibration_digest=digest
             )
             files["cloud"] = str(cloud)
-    # Whether the rig has drifted is worth knowing where nothing was updated too.
+    # The verdict on drift is printed even if nothing was updated.
     if report is not None:
         title = f"{calibration.name} with {', '.join(path.name for path in (*sweeps, *boards))}"
         disk.write_atomically(report, reports.recalibration_page(result, title=title, notes=tuple(notes)).encode())

@@ -106,7 +106,7 @@ def scan(
             controller = opened.enter_context(open_controller(rig.controller, rig.microsteps_per_turn, port=port))
             camera = opened.enter_context(open_camera(rig.camera, out.print))
             opened.callback(in_use.closing)
-            # Not before: nobody sees its request while the program waits for a camera.
+            # Handled from here on: before, the program may wait for a camera and would not react to it.
             interrupts = opened.enter_context(Interrupts())
             devices = Devices(controller, camera)
             if boards:

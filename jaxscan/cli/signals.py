@@ -109,7 +109,7 @@ def _watch(reading: int, heard: dict[int, str]) -> None:
 
 
 def _end(name: str) -> bool:
-    """Say so, remove partial files and end the process; False if that is being done already."""
+    """Print the line, remove partial files and end the process; False if another thread is doing so."""
     if not _ending.acquire(False):
         return False
     try:
@@ -117,7 +117,7 @@ def _end(name: str) -> bool:
     except OSError:
         pass  # Nobody listens.
     try:
-        # Not imported: what is not loaded has begun nothing.
+        # Looked up, not imported: a module that is not loaded has no partial files.
         clean = getattr(sys.modules.get("jaxscan.files.disk.atomic"), "forget_partials", None)
         if clean is not None:
             clean()

@@ -60,7 +60,7 @@ class Terminal:
 
     @property
     def is_terminal(self) -> bool:
-        """Whether a person may see it; colours that FORCE_COLOR demands make no terminal of a file."""
+        """Whether it is a terminal; a file is none, even if FORCE_COLOR demands colours."""
         file = self.console.file
         return self.console.is_terminal and not file.closed and file.isatty()
 
@@ -150,7 +150,7 @@ def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
 
 @contextlib.contextmanager
 def _reported() -> Iterator[None]:
-    """One line for what cannot be printed; that nobody reads is no error of ours."""
+    """Turn errors of printing into one line; a closed pipe passes through."""
     try:
         yield
     except BrokenPipeError:

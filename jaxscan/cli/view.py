@@ -146,7 +146,7 @@ def with_projects(paths: Sequence[Path]) -> tuple[tuple[Path, ...], list[str]]:
 
 
 def products_of(paths: Sequence[Path]) -> list[tuple[str, str, str]]:
-    """The products of projects as they are now: name, state, and why, or the notes of one that is done."""
+    """The clouds of projects with name, state, and the reason for it or the notes."""
     rows = []
     for path in paths:
         with projects.opened(projects.load_project(path)) as found:

@@ -97,7 +97,7 @@ def _unseen(wish: RigWish, every: list[tuple[RigDesign, float]]) -> str:
 
 
 def _up(value: float) -> str:
-    """Two digits, rounded up, so that asking for it is possible."""
+    """Two digits, rounded up, so that this value is reachable."""
     return _two_digits(value, math.ceil)
 
 

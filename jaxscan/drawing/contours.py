@@ -7,11 +7,11 @@ from jaxscan.measurement.outline.loops import is_within
 
 
 STEEP = 4.0
-"""Neighbours are of one surface up to this many times as far behind each other as they are beside each other [1]."""
+"""Largest ratio of depth difference to lateral distance for neighbours on one surface [1]."""
 STEP_M = 0.03
 """And this much more [m]."""
 APART_M = 0.3
-"""And up to this distance [m]."""
+"""Largest distance of neighbours on one surface [m]."""
 CROSSING = 0.1
 """Sine of the angle at which a surface must cross a plane, for its place in it to be known [1]."""
 TOLERANCE_M = 0.008
@@ -67,7 +67,7 @@ def _chains(segments: list[tuple[tuple[int, int], tuple[int, int]]]) -> list[lis
         for end in ends:
             at.setdefault(end, []).append(number)
     left, chains = set(range(len(segments))), []
-    # Chains with two ends first: those that are left are rings.
+    # Open chains first; what is left are rings.
     firsts = [number for number, ends in enumerate(segments) if any(len(at[end]) == 1 for end in ends)]
     for number in (*firsts, *range(len(segments))):
         if number not in left:

@@ -61,7 +61,7 @@ class Obstacles:
         width = max(np.ptp(text.box()[:, 0]) for text in _level(one).texts(paper))
         middle = [0.0, *(share * one.length_m for share in (0.15, -0.15, 0.3, -0.3) if width < 0.4 * one.length_m)]
         beyond = [sign * (0.5 * (one.length_m + width) + 2.0 * paper) for sign in (1.0, -1.0)]
-        # Words that are longer than the line go beside it, if no other line goes on there.
+        # Words that are longer than the line go beside it, if no other dimension line continues there.
         steps = [*middle, *beyond] if width < one.length_m else [*beyond, *middle]
         row = (TEXT_MM + SMALL_MM + 2.5) * paper
         for up in (0.0, row, -row):
@@ -77,7 +77,7 @@ class Obstacles:
 
 
 _AROUND = [4, 5, 2, 3]
-"""Corners of the boxes of a distance and of what stands below it that are those of both together."""
+"""Corners of the box around a distance and the text below it."""
 
 
 def _level(one: DimensionLine) -> DimensionLine:

@@ -163,7 +163,7 @@ class Drawing:
     texts: tuple[Text, ...] = ()
     dimensions: tuple[DimensionLine, ...] = ()
     remarks: tuple[str, ...] = ()
-    """What differs from what was asked for, and what is left out: a sentence each."""
+    """Departures from the request, and omissions: a sentence each."""
     facts: tuple[str, ...] = ()
     """What else was measured: a sentence each."""
     frame: str = ""

@@ -33,7 +33,7 @@ from jaxscan.measurement.outline.openings import difference
 ROW_MM = 9.0
 """From a wall to the first row of dimensions, and from that to the second."""
 BAND_MM = 2.0
-"""Width of the grey behind the face of a wall, whose thickness nobody saw."""
+"""Width of the grey behind the face of a wall, whose thickness is unknown."""
 GLASS_M = 0.05
 """Distance of the two lines of a window in the drawing [m]."""
 SHORTEST_M = 0.08
@@ -172,7 +172,7 @@ def _wall(side: Side, ends: np.ndarray, beyond: np.ndarray, cuts: list[Opening])
     for one in cuts:
         places = np.clip([one.left.value, one.right.value], 0.0, length)
         here = start + places[:, None] * along
-        # How deep an opening is beyond the wall nobody saw.
+        # The depth of an opening is unknown.
         depth = float(np.clip(one.depth_m or 0.0, -GLASS_M, GLASS_M))
         if one.kind == "panel":
             shape = np.stack([here[0], here[0] + depth * out, here[1] + depth * out, here[1]])

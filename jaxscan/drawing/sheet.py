@@ -28,12 +28,12 @@ TITLE_MM = (130.0, 42.0)
 BESIDE_MM = 250.0
 """From this width of the frame on the legend is beside the title block; on narrower sheets above it."""
 AROUND_MM = 27.0
-"""What two rows of dimensions take on each side of what is drawn."""
+"""Room for two rows of dimensions on each side of the drawing."""
 
 
 @dataclass(frozen=True)
 class Sheet:
-    """What a drawing is drawn on. What is not chosen is chosen when the size of the drawing is known."""
+    """The sheet of a drawing. Fields that are None are chosen when the size of the drawing is known."""
 
     size: Size = "a4"
     scale: int | None = None
@@ -44,7 +44,7 @@ class Sheet:
     date: str = ""
     made_by: str = "jaxscan"
     north_deg: float | None = None
-    """North on the sheet, clockwise from its upper edge [deg]; None where nobody said it: a scan does not know it."""
+    """North on the sheet, clockwise from its upper edge [deg]; None if not given: a scan cannot tell it."""
 
     def __post_init__(self) -> None:
         # Names may come from anywhere, and files of drawings hold no control characters.

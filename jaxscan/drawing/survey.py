@@ -101,6 +101,6 @@ def outward(at: np.ndarray, distance_m: float) -> np.ndarray:
     along /= np.linalg.norm(along, axis=1)[:, None]
     out = np.stack([along[:, 1], -along[:, 0]], 1)
     before = np.roll(out, 1, 0)
-    # Where one side goes on almost straight or turns back, the corner would run away.
+    # Between sides that are almost parallel the corner would be far away.
     share = np.maximum(1.0 + (before * out).sum(1), 0.2)
     return at + distance_m * (before + out) / share[:, None]

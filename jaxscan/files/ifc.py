@@ -104,7 +104,7 @@ class _Model:
 
     file: Any
     identity: str
-    """By which the same room has the same GUIDs."""
+    """Makes the GUIDs repeatable: the same room has the same ones."""
     body: Any = None
     storey: Any = None
     origin: Any = None

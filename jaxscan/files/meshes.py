@@ -81,7 +81,7 @@ def write_obj(mesh: Mesh, path: Part, name: str) -> None:
 
 
 def materials(name: str) -> bytes:
-    """The file of the material that `write_obj` names: the picture as it is, without shine."""
+    """The material file that `write_obj` names: the texture without highlights."""
     lines = ("newmtl scan", "Ka 1 1 1", "Kd 1 1 1", "Ks 0 0 0", "illum 1", f"map_Ka {name}.jpg", f"map_Kd {name}.jpg")
     return ("\n".join(lines) + "\n").encode("ascii")
 

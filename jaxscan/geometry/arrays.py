@@ -59,10 +59,10 @@ def solve_by_newton(
         start: The first point, a tuple of arrays.
         parameters: What the root depends on.
     """
-    # Four digits of the start become seven by one step, and sixteen by two.
+    # A start with four correct digits has seven after one step, and sixteen after two.
     rounds = 4 if start[0].dtype == np.float32 else 12
     if xp is np:
-        # Steps below rounding end it, and no step may grow out of numbers: far outside an image nothing is found.
+        # It ends when steps are below rounding. Steps are clamped, since far outside an image there is no root.
         with np.errstate(all="ignore"):
             for _ in range(rounds):
                 before, start = start, closer(start, parameters)

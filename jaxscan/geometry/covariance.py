@@ -6,12 +6,12 @@ import numpy as np
 from jaxtyping import Float
 
 
-# Eigenvalue of a matrix of unit diagonal, over its largest, that is rounding error: its direction is none.
+# Relative eigenvalue of a matrix of unit diagonal that counts as rounding: its direction is dropped.
 _SINGULAR = 1e-13
 
 
 class Root(NamedTuple):
-    """A square root R of a matrix, R' R, by its independent directions; the least of them come first."""
+    """A square root R of a matrix, R' R, by its eigenvectors; the smallest eigenvalues come first."""
 
     steps: Float[np.ndarray, "params params"]
     """R: one direction a row, of the length of one standard deviation where the matrix is a covariance; 0 where there

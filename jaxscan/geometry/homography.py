@@ -46,7 +46,7 @@ def fixes_plane(points: Float[np.ndarray, "n 2"]) -> bool:
     """Whether points of a plane fix a pose or a homography: six or more that are not on one line."""
     if len(points) < _MIN_POINTS:
         return False
-    # On a grid the narrowest spread that is not a line is large.
+    # On a grid even the narrowest spread beside a line is large.
     spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
     return bool(spread[1] > 0.05 * spread[0])
 
@@ -56,7 +56,7 @@ def _homogeneous(points: np.ndarray) -> np.ndarray:
 
 
 def _normalised(points: np.ndarray, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """A map to coordinates of about 1 round the middle, and the points in these; 0 for those that do not count."""
+    """A map to coordinates of size 1 about the middle, and the points in them; points that do not count are 0."""
     weight = keep[..., None] / np.maximum(keep.sum(-1), 1)[..., None, None]
     centre = np.sum(weight * points, axis=-2, keepdims=True)
     size = np.maximum(np.sqrt(np.sum(weight * (points - centre) ** 2, axis=(-2, -1)) / 2.0), 1e-12)[..., None]

@@ -116,7 +116,7 @@ def lit_slopes(
     """
     xp = namespace(rig, p_cam)
     hits = incidence > 0
-    # Any point before the camera where there is none, so that neither value nor gradient is NaN.
+    # A dummy point in front of the camera where there is none, so that neither value nor gradient is NaN.
     x, y, z = (xp.where(hits, p_cam[..., k], 1.0 * (k == 2)).astype(p_cam.dtype) for k in range(3))
     p = xp.stack([x, y, z], -1)
     by_point, normal = rig.camera.slopes(p), rig.laser(laser).slope(p)

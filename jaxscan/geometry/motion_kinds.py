@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Literal, NamedTuple
 
 
 class MotionKind(NamedTuple):
-    """What the rooms say of a kind of motion."""
+    """The properties of a kind of motion."""
 
     motion: str
     """Its class in `motions.py`."""
@@ -20,11 +20,11 @@ class MotionKind(NamedTuple):
     least: float
     """Positions closer than this are one stop [rad or m]."""
     capture: str
-    """The captures of boards that show it."""
+    """Words for the captures of boards that determine it."""
     numbers: tuple[tuple[str, ...], str]
     """Keys of its table in files that `--axis` gives, three numbers each; and both in words."""
     unfit: tuple[str, ...] = ()
-    """Products of a project that it does not have ..."""
+    """Products of a project that are left out ..."""
     why: str = ""
     """... and the reason."""
 

@@ -28,9 +28,9 @@ from jaxscan.geometry.rigid import (
 
 
 SLOWEST = 1e-6  # The least gain.
-# The motion of boards over the commanded one, within which the command is believed.
+# Ratio of the boards' motion to the commanded one, within which the command is accepted.
 _GAINS = (0.8, 1.25)
-# Boards before a linear stage do not turn; their poses from a first camera may be off by less than this.
+# Boards in front of a linear stage do not turn; poses from a first camera may be off by up to this.
 _MAX_TILT_DEG = 5.0
 _UNMOVED = "that records with the same `placement` saw the board unmoved"
 

@@ -34,11 +34,11 @@ _METRES = "lengths of a calibration are metres, and this one may be in millimetr
 
 
 class Doubt(NamedTuple):
-    """Something that cannot be, or hardly."""
+    """Something impossible or implausible."""
 
     said: str
     impossible: bool
-    """Whether no cloud can come of it."""
+    """Whether it makes a cloud impossible."""
 
 
 def camera_doubts(camera: AbstractCamera) -> list[Doubt]:

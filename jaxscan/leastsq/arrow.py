@@ -16,7 +16,7 @@ from jaxtyping import Float, Int
 from jaxscan.geometry import Array, namespace
 
 
-# Shared unknowns from which the time of an inverse counts.
+# From this number of shared unknowns on the time of an inverse matters.
 _MANY = 500
 # Eigenvalue of the information, scaled to a unit diagonal, that is rounding error: sums of some ten
 # thousand squares lose three digits, and inverting costs some more.
@@ -55,7 +55,7 @@ class Covariance(NamedTuple):
     coupling: Float[np.ndarray, "blocks own shared"]
     """How blocks follow the shared unknowns, with a minus."""
     alone: Float[np.ndarray, "blocks own own"]
-    """Of the blocks, if the shared unknowns were known."""
+    """Covariance of the blocks for fixed shared unknowns."""
 
     @property
     def cross(self) -> Float[np.ndarray, "blocks shared own"]:

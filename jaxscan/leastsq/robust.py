@@ -1,4 +1,4 @@
-"""Residuals that are no noise: losses that they do not pull, the noise that they do not widen, and their rejection."""
+"""Outliers: robust losses, robust estimates of noise, and rejection."""
 
 from dataclasses import dataclass
 from typing import Protocol, runtime_checkable
@@ -34,7 +34,7 @@ class Huber:
     def root(self, residual: Float[Array, "..."]) -> Float[Array, "..."]:
         """See `Loss`."""
         xp, k = namespace(residual), self.threshold
-        # Within the root the size is kept from below, or its derivative at 0 would be no number.
+        # The size is clamped from below within the root, or its derivative at 0 would be NaN.
         large = xp.sqrt(2.0 * k * xp.maximum(xp.abs(residual), k) - k * k)
         return xp.where(xp.abs(residual) <= k, residual, xp.sign(residual) * large)
 
@@ -97,9 +97,8 @@ def keep_inliers(
     reject_any: float,
     reject_all: float,
 ) -> Bool[np.ndarray, "..."]:
-    """Which observations stay: none goes unless one is plainly wrong, then all large ones do.
-
-    Honest data with its few values of 4 standard deviations is left whole.
+    """Which observations are kept: all, unless one is plainly wrong; then all large ones are rejected. So clean data
+    keeps its few values of 4 standard deviations.
 
     Source: mrcal, `markOutliers`.
     """

@@ -37,7 +37,7 @@ class Minimum(NamedTuple):
 
 
 class PatientTrustRegion(optx.AbstractSearch):
-    """optimistix' trust region, which takes a cost that changed by rounding alone for no worse.
+    """optimistix' trust region, which accepts a cost that is worse by rounding alone.
 
     Beside the minimum the last steps change the cost by less than its last digit; judged by that
     digit every other one would be refused, thirty times in a row.

@@ -45,7 +45,7 @@ class DistanceMeasurement:
     points: tuple[int, int]
 
     def words(self) -> tuple[str, ...]:
-        """As people read it: between the places, and between their planes where these are parallel."""
+        """The length in words: between the places, and between their planes if these are parallel."""
         lines = [f"{length_words(self.value_m, self.sigma_m)}, {_points_words(self.points)}"]
         if self.plane_to_plane_m is not None and self.plane_to_plane_sigma_m is not None:
             lines.append(f"between their planes: {length_words(self.plane_to_plane_m, self.plane_to_plane_sigma_m)}")
@@ -126,7 +126,7 @@ def measure_height(
 
 @dataclass(frozen=True)
 class PointDistance:
-    """Distance between two points a and b of a cloud, as they were measured [m]; sigmas are predicted."""
+    """Distance between two single points a and b of a cloud [m]; sigmas are predicted."""
 
     value_m: float
     sigma_m: float
@@ -163,7 +163,7 @@ def measure_points(
     if nearest[0] == nearest[1]:
         raise MeasurementError("Both places have the same nearest point; give places farther apart.")
     order = np.argsort(nearest)
-    # Points are taken in their order in the cloud.
+    # Ties go to the point that comes first in the cloud.
     ends = samples.take(np.array(nearest)[order]).take(np.argsort(order))
     apart = ends.p[1] - ends.p[0]
     value = float(np.linalg.norm(apart))
@@ -244,7 +244,7 @@ def measure_angle(
     value = np.pi - np.arctan2(sine, first.normal @ second.normal)
     variance, weights = 0.0, []
     for patch, plane, other in zip(patches, planes, reversed(planes), strict=True):
-        # The angle changes with the slope towards the other plane; which way that is no noise may decide, so without
+        # The angle changes with the slope towards the other plane. Noise must not decide that direction, so without
         # an edge it is the direction in which the slope is known least.
         least_known = np.linalg.eigh(plane.covariance[1:, 1:])[1][:, -1]
         slopes = plane.axes @ other.normal / sine if sine > _LEAST_SINE else least_known

@@ -13,11 +13,11 @@ FARTHEST_M = 1e8
 
 
 LEAST_KNOWN = 0.2
-"""Largest share of itself that the standard deviation of a dimension may have [1]; above it nobody measured it."""
+"""Largest relative standard deviation of a dimension [1]; above it the dimension counts as not measured."""
 
 
 def is_known(value: float, sigma: float) -> bool:
-    """Whether a length, an area or a volume is known well enough to be stated as one."""
+    """Whether a length, an area or a volume is known well enough to be stated."""
     # NaN fails too.
     return sigma <= LEAST_KNOWN * value
 

@@ -40,8 +40,7 @@ class CloudComparison:
     error_m: ErrorStatistics
     """Distance to the true point (same grid) or to the nearest one (no common grid)."""
     along_ray_m: ErrorStatistics | None
-    """Signed error along the ray, positive where too far; None without a common grid, and without a true point that
-    is not in the camera's centre."""
+    """Signed error along the ray, positive where too far; None without a common grid, or if no true point has a ray."""
     whitened: ErrorStatistics | None
     """Error along the ray divided by the point's `sigma_random`: RMS 1 if sigma is correct and the
     calibration perfect; None without a common grid."""
@@ -87,7 +86,7 @@ def _by_cell(cloud: Cloud, truth: Cloud, scanner: Scanner | None) -> CloudCompar
     p, exact = np.asarray(cloud.xyz)[both].astype(float), np.asarray(truth.xyz)[both].astype(float)
     ray = exact - centre[profile]
     distance = np.linalg.norm(ray, axis=1, keepdims=True)
-    # No ray leads to a true point in the camera's centre.
+    # A true point in the camera's centre has no ray.
     apart = distance[:, 0] > 0
     along = np.sum((p - exact)[apart] * (ray[apart] / distance[apart]), axis=1)
     sigma = np.asarray(cloud.sigma_random)[both][apart].astype(float)

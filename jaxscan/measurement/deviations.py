@@ -142,7 +142,7 @@ def _cell_means(
     some = np.maximum(points, 1)
     mean = np.bincount(cell, residual, cells) / some
     variance = np.bincount(cell, patch.sigma_across(normal) ** 2, cells) / some
-    # Of a profile's neighbours in a cell, as many share their noise as the cell holds.
+    # Neighbours of one profile share their noise, within the cell.
     shared = np.bincount(cell, patch.shared, cells) / some
     profiles = np.bincount(np.unique(np.stack([cell, patch.profile]), axis=1)[0], minlength=cells)
     independent = some / np.maximum(np.minimum(shared, some / np.maximum(profiles, 1)), 1.0)

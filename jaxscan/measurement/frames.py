@@ -38,7 +38,7 @@ class TargetFrame:
     sigma_m: float
     """Standard deviation of a coordinate of a target, in both frames together, as the residuals show it."""
     freedom: int
-    """Number of residuals beyond those that any targets have: 3 for three targets."""
+    """Redundancy: residuals less unknowns; 3 for three targets."""
     scale: float
     """Ratio of distances between targets, site to scanner [1]; the frame does not use it."""
     centre_m: np.ndarray

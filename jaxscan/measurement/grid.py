@@ -92,7 +92,7 @@ def rasterise(quads: Quads, places: np.ndarray, shape: tuple[int, int], depth: n
     corners = places[quads.corners]
     low, high = corners.min(1), corners.max(1)
     chosen = np.flatnonzero((high > -0.5).all(1) & (low < np.array([shape[1], shape[0]]) - 0.5).all(1))
-    # Finer than the pixels, so that none is missed; in powers of two, so that quads go together.
+    # Sampled more finely than the pixels, so that none is missed; in powers of two, so that many quads share a size.
     finer = np.stack([_places(corners[chosen], ((0, 2), (1, 3))), _places(corners[chosen], ((0, 1), (2, 3)))], 1)
     best = np.full(shape[0] * shape[1], np.inf)
     quad, across, along = np.full(best.shape, -1), np.zeros(best.shape), np.zeros(best.shape)

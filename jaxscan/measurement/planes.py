@@ -124,7 +124,7 @@ def measure_plane(cloud: Cloud, point: Point, *, radius_m: float = 0.2) -> Plane
 
 
 def require_plane(patch: Samples, plane: Plane, point: Point, radius_m: float) -> None:
-    """Refuse points around a picked point that do not determine their plane: those along a line lie in many."""
+    """Refuse points around a picked point that determine no plane, such as points along a line."""
     apart = patch.p - plane.centre
     extent, rms = np.sqrt(np.mean((apart @ plane.axes.T) ** 2, axis=0)), np.sqrt(np.mean((apart @ plane.normal) ** 2))
     if extent.min() <= max(2.0 * rms, 0.05 * extent.max()):

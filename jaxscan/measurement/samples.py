@@ -103,7 +103,7 @@ class Samples(NamedTuple):
 
     def _cosine(self, normal: np.ndarray) -> np.ndarray:
         ray = self.p - self.origin
-        # Five times as fast as the norm of rows, and asked for thousands of times in a room.
+        # Five times as fast as the norm of rows, and called thousands of times for a room.
         distance = np.sqrt(np.einsum("ij,ij->i", ray, ray))
         return np.abs(ray @ normal) / np.where(distance > 0, distance, 1.0)
 

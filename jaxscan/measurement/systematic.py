@@ -80,7 +80,7 @@ def effects_of(scanner: Scanner | None, places: Places, samples: Samples, weight
 def _check_seen(p: np.ndarray, found: np.ndarray) -> None:
     """Check that the scanner sees the points [n, 3] where they are, as it does those of its own sheet."""
     off = np.linalg.norm(found - p, axis=1)
-    # What is not a number is not near either.
+    # NaN does not count as near.
     near = off <= FARTHEST_OFF * np.linalg.norm(p, axis=1)
     if np.count_nonzero(near) < LEAST_SEEN * len(p):
         raise MeasurementError(

@@ -106,7 +106,7 @@ def refine_wall(samples: CloudSamples | Samples, plane: Plane, *, rng: np.random
         residual = (around.p @ normal - distance) / sigma
         scale = _outer_scale(residual)
         now = np.abs(residual) <= KEPT * scale
-        # On a plane that its points contradict none may be left.
+        # If the points contradict the plane, none may be left.
         if np.array_equal(now, kept) or np.count_nonzero(now) < FEWEST:
             break
         kept = now
@@ -117,7 +117,7 @@ def refine_wall(samples: CloudSamples | Samples, plane: Plane, *, rng: np.random
 
 
 def wall_weights(wall: Wall, row: np.ndarray, rng: np.random.Generator | None = None) -> tuple[Samples, np.ndarray]:
-    """What numbers that depend on a wall's plane weigh some of its points with.
+    """Weights of some of a wall's points in numbers that depend on its plane.
 
     With weights `row` [(k,) 3] of the plane's (offset, slopes), numbers move by sum w . dp, w [(k,) n, 3].
     """

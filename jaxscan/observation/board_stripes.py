@@ -105,7 +105,7 @@ def find_stripes(
 def with_speckle(
     on: np.ndarray, off: np.ndarray, frames: FrameFormat, line: LaserLine, noise: NoiseModel
 ) -> NoiseModel:
-    """The noise with the speckle of stripes on even print: edges of the print scatter centres and widths too."""
+    """The noise with speckle as stripes on even print show it: edges of the print would widen the scatter."""
     size = int(on.shape[2]), int(on.shape[1])
     setup = ExtractionSetup(size, frames, line, _SETTINGS, all_candidates=True)
     (engine,) = prepare_engines(on, off, [setup], noise=noise)

@@ -26,7 +26,8 @@ _KEPT_BYTES = 2**28
 _LOOKED_AT = 6
 # Records that show the same other board suffice.
 _AGREE = 2
-# Boards with the line in the laser-off image, and how many times the points of the laser-on images, are clear.
+# Number of boards with the line in the laser-off image, and ratio of its points to those of the laser-on images, that
+# prove an exchange.
 _EXCHANGED, _TIMES = 3, 3
 # Rows of the image on which a line should be seen on a board before it is missed.
 _LEAST_ROWS = 24

@@ -83,7 +83,7 @@ def _relative_noise(image: np.ndarray, line: np.ndarray, centre: np.ndarray, lea
     first, last = np.clip(line - 1, 0, len(image) - 1), np.clip(line + 1, 0, len(image) - 1)
     sample = np.clip(np.rint(centre).astype(int)[:, None] + np.arange(-2, 3), 0, image.shape[1] - 1)
     above, here, below = (image[at[:, None], sample] for at in (first, line, last))
-    # At least half of the points lie on no edge: there a line differs from the mean of its neighbours
+    # At least half of the points are not on an edge; there a line differs from the mean of its neighbours
     # by noise alone.
     noise = median_sigma(here - 0.5 * (above + below)) / np.sqrt(1.5)
     level = (above + here + below).mean(1) / 3.0

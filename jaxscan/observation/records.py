@@ -98,7 +98,7 @@ class SeenRecord(NamedTuple):
     """Index of its capture."""
     record: BoardRecord
     on: np.ndarray | None = None
-    """Laser-on frame, as of `BoardSource.frames`; those of large captures are dropped after use, to save memory."""
+    """Laser-on frame, as from `BoardSource.frames`; those of large captures are dropped after use, to save memory."""
     off: np.ndarray | None = None
     """Laser-off frame."""
     grey: np.ndarray | None = None

@@ -67,7 +67,7 @@ def add(
         apart.append(jnp.where(known[slot] > 0, _largest(jnp.abs(mean - colour)), jnp.inf))
     nearest, lightest = functools.reduce(jnp.minimum, apart), functools.reduce(jnp.minimum, known)
     alike = nearest <= tolerance
-    # Where all colours are taken, the lightest gives way to a heavier one.
+    # If all slots are taken, the colour with the least weight gives way to a heavier one.
     counts = (weight > 0) & (alike | (weight > lightest))
     totals, weights = [], []
     for slot in range(ROOM):
@@ -101,9 +101,8 @@ def conclude(tally: Tally, tolerance: float) -> UInt8[np.ndarray, "3 n"]:
 def fill_holes(
     picture: Real[np.ndarray, "height width channels"], known: Bool[np.ndarray, "height width"]
 ) -> Real[np.ndarray, "height width channels"]:
-    """Fill what is not known, smoothly: means of ever larger squares, the smallest that know something.
-
-    Zero where nothing is known anywhere; the type stays.
+    """Fill unknown pixels smoothly with the mean of the smallest surrounding square that has known ones. Zero where no
+    pixel is known; the type stays.
     """
     if known.all() or not known.any():
         return np.where(known[..., None], picture, 0).astype(picture.dtype)
@@ -140,7 +139,7 @@ def _doubled(part: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
 
 
 STEEPEST_SEEN = 6.0
-"""Ways along a surface for one across it, seen from the camera: beyond, no colour is taken."""
+"""Largest ratio of depth along a surface to the distance across, as the camera sees it, at which colours are taken."""
 UNKNOWN_FACING = 0.5
 """Cosine to the line of sight that a surface without normal is taken to have."""
 SKIN = 0.012
@@ -148,7 +147,7 @@ SKIN = 0.012
 FEATHER = 0.15
 """Share of the image, on each side, over which the weight rises from its border."""
 SATURATED = 254
-"""From this code on a pixel says nothing about the colour."""
+"""Pixels of this code or more are saturated."""
 
 
 class BlendSettings(NamedTuple):
@@ -275,9 +274,9 @@ _packed = jax.jit(packed)
 
 
 LEAST_COMMON = 50
-"""Points by which an exposure is equalised, at the least."""
+"""Least number of points for equalising an exposure."""
 LEAST_DN = 12.0
-"""Darker colours say nothing about an exposure."""
+"""Darker colours are not used for equalising exposures."""
 MOST_GAIN = 4.0
 
 
@@ -342,7 +341,7 @@ def _observe(
     q, weight = kept(some, _each(weigh), places)
     colour, brightest = kept(some, _each(functools.partial(read_image, shot.image)), q)
     weight = jnp.where(brightest < SATURATED, weight, 0.0)
-    # The place of a point that is not seen need not be a number.
+    # The pixel of a point that is not seen may be NaN.
     return _each(lambda colour, weight: jnp.where(weight > 0, colour, 0.0))(colour, weight), weight
 
 

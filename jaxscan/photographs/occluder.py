@@ -55,9 +55,8 @@ class Blocks:
         return back
 
     def seen_from(self, pose: Float[np.ndarray, "4 4"], bounds: Float[np.ndarray, "2 3"]) -> list[np.ndarray]:
-        """Numbers of blocks that may reach into a view, `AT_ONCE` at a time; bounds are those of `Lens`.
-
-        The last of them are given again and again until there are as many, or each number of them would be compiled.
+        """Numbers of blocks that may reach into a view, `AT_ONCE` at a time; bounds are those of `Lens`. The last group
+        is padded by repetition, since each other size would be compiled.
         """
         way = self.centre - pose[:3, 3]
         distance = np.maximum(np.linalg.norm(way, axis=-1), 1e-9)
@@ -141,7 +140,7 @@ def make_occluder(cloud: PointCloud, scanner: Scanner) -> Occluder:
     camera = scanner.camera
     cell = max(2, round(min(camera.width, camera.height) / CELLS))
     spacing = cell * float(Lens.of(camera).per_pixel)
-    # Wherever a surface may reach, nothing behind it counts as seen: what stands before a wall does not bleed into it.
+    # Nothing behind a surface's largest possible extent counts as seen, so that foreground does not bleed into walls.
     found = [(samples.xyz, samples.rgb) for samples in surface_samples(cloud, scanner, spacing, reach=1.0)]
     xyz, rgb = (np.concatenate(parts) for parts in zip(*found, strict=True))
     if not len(xyz):

@@ -18,7 +18,8 @@ from jaxscan.reconstruction import PointCloud
 Projection = Literal["equirectangular", "cylinder"]
 STEEPEST_CYLINDER = np.radians(75.0)
 NARROW = np.radians(8.0)
-"""Photographs whose middle is further from a place of the picture count for little [rad], where depths are known."""
+"""Standard deviation of the weight by the angle between a photograph's middle and a place of the picture [rad], if
+depths are known."""
 LEAST_FACING = 0.2
 
 
@@ -129,7 +130,7 @@ def make_panorama(
     inverse = np.where(known, 1 / np.maximum(distance, 1e-6), 0)[..., None]
     filled = 1 / np.maximum(fill_holes(inverse, known)[..., 0], 1e-3)
     points = (rays * filled[..., None]).astype(np.float32)
-    # What a surface shows along itself is as sharp here as it is in its photograph.
+    # Surfaces seen at a slant are as sharp here as in their photographs.
     cosine = -np.sum(normals * rays, -1, keepdims=True)
     facing = np.where(known[..., None], normals - rays * np.maximum(LEAST_FACING - cosine, 0), 0).astype(np.float32)
     occluder = make_occluder(cloud, photographs.scanner)
@@ -162,7 +163,7 @@ def draw_distances(
 
 
 def _mean(bearing: float) -> BlendSettings:
-    """A plain mean: where parallax is not known, colours that disagree are mixed, as seams would be seen."""
+    """A plain mean: without known parallax colours that disagree are mixed, to avoid visible seams."""
     return BlendSettings(tolerance_dn=256.0, bearing=bearing)
 
 

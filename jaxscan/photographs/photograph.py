@@ -40,7 +40,7 @@ def choose_evenly(
     Args:
         places: Angle [rad] or position [m] of each photograph.
         most: How many.
-        period: After which a place is the same again; None where it never is.
+        period: Period after which places repeat; None if they do not.
     """
     if len(places) <= most:
         return np.arange(len(places))
@@ -48,7 +48,7 @@ def choose_evenly(
     low, way = float(places.min()), float(np.ptp(places))
     if period is not None and way >= period:
         places, low, way = np.mod(places, period), 0.0, period
-    # A little more than nothing, or rounding would put the places of an even sweep into parts beside theirs.
+    # A small offset, or rounding would put the places of an even sweep into neighbouring parts.
     part = np.floor((places - low) / max(way, 1e-12) * most + 1e-6).astype(np.int64)
     return np.sort(np.unique(np.minimum(part, most - 1), return_index=True)[1])
 

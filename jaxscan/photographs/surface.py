@@ -1,7 +1,5 @@
-"""The surface between the stripes: samples of it, as close together as a picture needs them.
-
-Neighbours of the grid that lie on one surface are joined. Where it ends between two profiles, nobody knows how far it
-reaches on.
+"""The surface between the stripes: samples of it, as close together as a picture needs them. Neighbours of the grid
+that lie on one surface are joined. If a surface ends between two profiles, it is unknown where.
 """
 
 from collections.abc import Iterator

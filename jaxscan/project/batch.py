@@ -46,8 +46,8 @@ class Report(NamedTuple):
 
 
 _WRITTEN_S, _AT_ONCE = 0.5, 64
-"""Between two transactions of the catalogue, and how many steps are written down as begun in one: each takes as long as
-the disk."""
+"""Time between two transactions of the catalogue [s], and the most steps that one marks as begun: each waits for the
+disk."""
 Work = Callable[[Status, Path, Progress], Row]
 
 
@@ -72,7 +72,7 @@ def run_batch(
         while ready or begun or pool.busy:
             if not begun or time.monotonic() - written > _WRITTEN_S:
                 given = [steps[ready.popleft()] for _ in range(0 if begun else min(len(ready), _AT_ONCE))]
-                # Before the work: files of a step that does not come to its end must not look older.
+                # Written before the work, so that files of an interrupted step do not look older than its row.
                 catalogue.write([*ended, *map(begun_row, given)])
                 begun.extend(given)
                 ended, written = [], time.monotonic()
@@ -220,7 +220,7 @@ def default_workers() -> int:
 
 
 def free_bytes() -> int:
-    """Memory that can be used [bytes]; very much where nothing tells."""
+    """Free memory [bytes]; a huge number where the system does not say."""
     found = [1 << 50]
     for path, (pattern, unit) in _MEMORY.items():
         with contextlib.suppress(OSError, JaxscanError), open_regular(path, error=ConfigError) as file:

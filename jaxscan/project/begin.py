@@ -67,7 +67,7 @@ def project_text(folder: Path) -> str:
 
 
 def board_notes(project: Project) -> list[str]:
-    """Sentences on parts that the boards of a new project leave open, which its batch would say late."""
+    """Sentences on parts that the boards of a new project leave open, said now rather than by its batch."""
     notes = []
     for rig in project.wanted.rig:
         places = [str(Path(project.file.parent, place)) for place in rig.boards]
@@ -98,7 +98,7 @@ def _walked(folder: Path) -> tuple[list[Path], list[Path]]:
         is_capture = HEADER_NAME in names
         captures += [path] if is_capture else []
         if ABOUT in names:
-            # The products of a batch: what it calibrated is not given.
+            # The products of a batch: its calibrations are not inputs.
             below[:] = []
             continue
         files += [] if is_capture else [path / name for name in sorted(names) if name.endswith(".json")]
@@ -136,7 +136,7 @@ def _parts(header: CaptureHeader) -> tuple[object, ...]:
 
 
 def _products(header: CaptureHeader) -> str:
-    """The line of captures that are none of a room; "" for those of which the project's products can be made."""
+    """The line for captures that do not show a room; "" for those that allow the project's products."""
     carries = None if header.turntable is None else header.turntable.carries
     if carries == "nothing":
         return 'products = ["cloud"]  # profiles of a scanner that stands still; also "measures", "report"\n'
@@ -146,7 +146,7 @@ def _products(header: CaptureHeader) -> str:
 
 
 def _calibration(folder: Path, sweep: Found, calibrations: Sequence[Path], boards: Sequence[Sequence[Found]]) -> str:
-    """The line of a rig that says by what it is calibrated."""
+    """The line of a rig that names its calibration."""
     why = {path: _unfit(load_scanner(folder / path), sweep.header) for path in calibrations}
     fits = [path for path in calibrations if not why[path]]
     if len(fits) == 1:
@@ -216,7 +216,7 @@ def _patterns(sweeps: Sequence[Found], captures: Sequence[Found]) -> list[str]:
             depth = len(Path(pattern).parts)
             some = frozenset(path for path in places if len(path.parts) == depth and path.match(pattern))
             hidden = any(part.startswith(".") for path in some for part in path.parts)
-            # Folders of rooms, each with its one sweep; where they hold several, the sweeps have the names of rooms.
+            # Folders of rooms with one sweep each; if they hold several, the sweeps are named after the rooms.
             crowded = len({path.parent for path in some}) > 1 and any(in_folder[path.parent] > 1 for path in some)
             known[pattern] = some if some <= own and not hidden and not crowded else frozenset()
         return known[pattern]
@@ -233,7 +233,8 @@ def _patterns(sweeps: Sequence[Found], captures: Sequence[Found]) -> list[str]:
 
 
 def _candidates(path: Path) -> list[str]:
-    """Patterns that find a sweep: with all beside it, those that begin alike, those of other rooms; and alone."""
+    """Patterns that find a sweep: with all others beside it, with those that begin alike, with those of other rooms,
+    and alone."""
     parent, name = Path(glob.escape(str(path.parent))), glob.escape(path.name)
     begins = re.match(r"[A-Za-z]*[^A-Za-z0-9]*", path.name)
     same = [parent / f"{glob.escape(begins[0])}*"] if begins and begins[0] else []

@@ -34,12 +34,12 @@ class Output(NamedTuple):
 
 
 class Row(NamedTuple):
-    """A step that was done or failed. Of each digest of a key there is one, the last."""
+    """A step that was done or failed. Only the last row of each key and digest is kept."""
 
     key: str
     digest: str
     state: str
-    """"done" or "failed"; "begun" of one that was handed out and has not come back."""
+    """"done" or "failed"; "begun" for one that is still at work, or was interrupted."""
     message: str
     """The line that says why it failed; notes of one that is done."""
     parts: Mapping[str, str]
@@ -78,7 +78,7 @@ class Catalogue:
             uri = f"file:{quote(str(path.absolute()))}?mode={'rw' if write else 'ro'}"
             self._database = sqlite3.connect(uri, uri=True)
             try:
-                # What the tables of a stranger call by themselves may then do nothing but compute.
+                # Functions that a stranger's tables call may then only compute.
                 self._database.execute("PRAGMA trusted_schema=OFF")
                 _check_schema(self._database, path)
                 if write:

@@ -116,7 +116,7 @@ def _change(
 def _measures(project: Project) -> tuple[dict[str, dict[str, Any]], dict[str, str]]:
     """The lengths of each capture by their names, and the digest of the capture that they were made of.
 
-    What was made before, and failed when it was to be made anew, is no measure of this project.
+    Measures whose renewal failed do not count.
 
     Raises:
         ConfigError: If there are none.
@@ -138,7 +138,7 @@ def _measures(project: Project) -> tuple[dict[str, dict[str, Any]], dict[str, st
 
 
 def _is_current(row: Row, last: Mapping[str, Row]) -> bool:
-    """Whether a row is of a step that was done, and so are all before it, as they were last tried."""
+    """Whether the last attempts of a step and of all steps before it succeeded."""
     before = [last[part] for part in row.parts if part in last]
     same = all(one.digest == row.parts[one.key] for one in before)
     return row.state == "done" and same and all(_is_current(one, last) for one in before)

@@ -65,7 +65,7 @@ def fitting_products(
         try:
             header = headers[address] if address in headers else header_of(address)
         except JaxscanError:
-            # Said by the step that makes its cloud; other captures go on.
+            # The step that makes its cloud reports this; other captures go on.
             continue
         carries = None if header.turntable is None else header.turntable.carries
         if carries is None:
@@ -116,7 +116,7 @@ class ProjectCapture:
     """A sweep of the project."""
 
     name: Name
-    """Made of that of its folder: the key of its products."""
+    """Derived from the name of its folder: the key of its products."""
     address: str
     """Its folder."""
     rig: RigTable

@@ -5,7 +5,7 @@ import functools
 import hashlib
 import json
 import os
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from importlib import resources
 from pathlib import Path
@@ -193,7 +193,7 @@ def _wrong(path: Path, size: int) -> str:
 
 
 def _changed(parts: Mapping[str, str], last: Row) -> str:
-    """The parts that differ from those when it was done last, in words."""
+    """The inputs that have changed since it was done last, in words."""
     names = [name for name in parts if parts[name] != last.parts.get(name)]
     names += [name for name in last.parts if name not in parts]
     words = [f"the code, which was version {last.version}" if name == "code" else name for name in names]
@@ -231,8 +231,11 @@ _FILES = {
     "report": ("reports/{}.html",),
 }
 """Of each product that is made of a cloud."""
-_OF_CAPTURE = ("panorama",)
-"""Products that read the capture too."""
+_OF_CAPTURE: Mapping[str, Callable[[Project, ProjectCapture], Mapping[str, Any]]] = {
+    "panorama": lambda project, capture: {"every": capture.settings.every},
+    "plan": lambda project, capture: {"project": project.wanted.project.name},
+}
+"""Settings of products that read the capture too, a plan for its date."""
 _MERGED = {"e57": "groups/{}.e57", "tiles": "groups/{}.tiles.json", "plan": "groups/{}.dxf"}
 
 
@@ -276,7 +279,7 @@ def parts_of(step: Step, digests: Mapping[str, str], code: str) -> dict[str, str
         code: Digest of the code that does it.
 
     Returns:
-        By what a user calls them: "capture", "calibration", keys of other steps, "settings", "code".
+        By the user's names for them: "capture", "calibration", keys of other steps, "settings", "code".
     """
     found = {role: digests[address] for role, address in step.sources.items()}
     found |= {key: digests[key] for key in step.inputs}
@@ -318,7 +321,7 @@ class _Refined(NamedTuple):
 
     steps: tuple[Step, ...]
     by_single: _Reads
-    """Refined by the captures of no group. The register of a group adds those of its own, each once."""
+    """Refined by the captures that are in no group. The registration of a group adds its own captures, each once."""
     by_all: _Reads
 
 
@@ -399,7 +402,7 @@ def _of_capture(project: Project, capture: ProjectCapture, reads: _Reads) -> Ite
                 reads.sources | (source if kind in _OF_CAPTURE else {}),
                 {"cloud": clouds[0], **reads.products},
                 tuple(file.format(name) for file in files),
-                {"every": capture.settings.every} if kind in _OF_CAPTURE else {},
+                _OF_CAPTURE[kind](project, capture) if kind in _OF_CAPTURE else {},
             )
 
 
@@ -412,7 +415,7 @@ def _parts(capture: ProjectCapture, records: int, reads: _Reads) -> Iterator[Ste
         sweep = open_capture(capture.address, compare=False).every(capture.settings.every)
         ranges = ranges_of(sweep, records)
     except CaptureError:
-        # Said by the step that makes its cloud; other captures go on.
+        # The step that makes its cloud reports this; other captures go on.
         return
     if len(ranges) < 2 or not all(record.off for record in sweep.records):
         return
@@ -443,5 +446,8 @@ def _of_group(project: Project, group: GroupTable, reads: _Reads) -> Iterator[St
     for kind in group.merged:
         output = _MERGED[kind].format(group.name)
         products = {**clouds, "calibration": files[0]}
-        more = {"tile_m": group.tile_m} if kind == "tiles" else {}
-        yield Step(f"merged/{kind}/{group.name}", f"merged {kind}", (*keys, register), {}, products, (output,), more)
+        more: dict[str, Any] = {"tile_m": group.tile_m} if kind == "tiles" else {}
+        dated = {}
+        if kind == "plan":
+            more, dated = {"project": project.wanted.project.name}, {"capture": captures[group.captures[0]].address}
+        yield Step(f"merged/{kind}/{group.name}", f"merged {kind}", (*keys, register), dated, products, (output,), more)

@@ -22,7 +22,7 @@ from jaxscan import api
 from jaxscan.api.recalibration import turned
 from jaxscan.api.sweeps import cloud_of_ranges, stripes_of_range
 from jaxscan.calibration import Calibration
-from jaxscan.drawing import draw_plan, survey_room
+from jaxscan.drawing import Sheet, draw_plan, survey_room
 from jaxscan.errors import CalibrationError, CaptureError, CloudError, GivenError, JaxscanError, MeasurementError
 from jaxscan.files.calibration import calibration_digest, calibration_notes
 from jaxscan.files.capture import Capture, open_capture
@@ -195,9 +195,16 @@ def make_mesh(workspace: StepWorkspace) -> None:
 
 def draw_room(workspace: StepWorkspace) -> None:
     """The plan of a room, a metre above its floor."""
-    drawing = draw_plan(survey_room(workspace.cloud(), scanner=workspace.scanner()))
+    drawing = draw_plan(survey_room(workspace.cloud(), scanner=workspace.scanner()), sheet=_sheet(workspace))
     for number in range(len(workspace.step.outputs)):
         api.save_drawing(drawing, workspace.target(number))
+
+
+def _sheet(workspace: StepWorkspace) -> Sheet:
+    """The title block: the project's name, the room's, and the day on which its first capture was begun."""
+    started = open_capture(workspace.step.sources["capture"], compare=False).header.acquisition.get("started")
+    room, day = workspace.step.key.split("/")[-1], started[:10] if isinstance(started, str) else ""
+    return Sheet(project=workspace.setting("project"), room=room, date=day)
 
 
 def draw_panorama(workspace: StepWorkspace) -> None:
@@ -261,7 +268,7 @@ def refine_rig(workspace: StepWorkspace) -> None:
         calibration, refused = result.calibration, result.refused
         workspace.notes.extend(result.notes)
     except GivenError:
-        # A person can put it right; the stored calibration would hide it.
+        # The user can correct this; going on with the stored calibration would hide it.
         raise
     except (CalibrationError, CaptureError) as problem:
         refused = str(problem)
@@ -317,7 +324,7 @@ def merge_plan(workspace: StepWorkspace) -> None:
     every = max(1, -(-points // PLAN_POINTS))
     # Thinned one by one, so that the whole is never in memory.
     placed = stack_placed([stack_placed([cloud], every=every) for cloud in _clouds(workspace)])
-    drawing = draw_plan(survey_room(placed, scanner=workspace.scanner()))
+    drawing = draw_plan(survey_room(placed, scanner=workspace.scanner()), sheet=_sheet(workspace))
     api.save_drawing(drawing, workspace.target())
 
 

@@ -133,9 +133,9 @@ def lost_lengths(lengths: Sequence[KnownLength], kept: Sequence[int]) -> list[st
     ]
 
 
-# A length that is farther off was misread, mistyped, or measured somewhere else.
+# A length that differs by more than this was misread, mistyped, or measured somewhere else.
 _SIGMAS = 6.0
-# The same where the rig was knocked; those sigmas are tolerances already.
+# The same if the rig was knocked: its sigmas are tolerances already.
 _LOOSE_SIGMAS = 3.0
 # A length that the scanner of the sweeps misses by so much contradicts them, or the other lengths.
 _MISSED_SIGMAS = 10.0
@@ -249,7 +249,7 @@ def _between_planes(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "
     mean, middle = one.normal + other.normal, (one.centre + other.centre) / 2
     mean = mean / np.linalg.norm(mean)
     along = [plane.normal @ (plane.centre - middle) / (plane.normal @ mean) for plane in (one, other)]
-    # Walls that are rough or bent by so much have their mean planes no better known than that.
+    # Roughness and bend of walls limit how well their mean planes are known.
     both = zip((first, second), (one, other), strict=True)
     flat = [np.mean(((cloud - plane.centre) @ plane.normal) ** 2) for cloud, plane in both]
     return float(abs(along[0] - along[1])), float(np.sqrt(sum(flat)))

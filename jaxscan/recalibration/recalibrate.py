@@ -50,7 +50,7 @@ class _Job(NamedTuple):
         turned, tracks = self.turned(), self.given.tracks
         points, surfaces = observe_surfaces(turned, start.scanner, start.stations, self.settings.points)
         if tracks is not None and len(tracks.q):
-            # They were observed before the stations and faults of angles were known.
+            # Tracks were observed before the stations and faults of angles were known.
             tracks = place_tracks(tracks, turned, start.scanner, start.stations)
         observed = RoomObservations(
             points=points,
@@ -114,7 +114,7 @@ def recalibrate(
     doubts = check_lengths(observed, job.turned(), job.stored, loose)
     if doubts:
         _check_without(job, observed, start, doubts[0])
-    # Only the scanner and the stations of this solve are used.
+    # Of this first solve only the scanner and the stations are used.
     rough = adjust(loose, job.start(job.stored), observed, job.settings)
     done()
     start = job.start(rough.scanner, rough.stations)
@@ -238,7 +238,7 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
         scanner=stored if refused else adjusted.scanner,
         updated=not refused,
         refused=refused,
-        # The stored covariance is told as the prior, also where a part of it was given up.
+        # The gain is reported against the stored covariance, even where a part of that prior was given up.
         adjusted=replace(adjusted, prior=stored),
         drift=verdict.drift,
         gains=judge.gains_of(gained, judge.scales_of(gained, slopes), names),

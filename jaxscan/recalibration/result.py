@@ -113,7 +113,7 @@ class Moved:
     sigmas: float
     """The change with its sign, in standard deviations that a change would have by chance [1]."""
     unit: str = ""
-    """In which people are told of it: "degrees", "mm", "px"."""
+    """Unit in which it is shown: "degrees", "mm", "px"."""
     scale: float = 1.0
     """Values and standard deviations times this are in that unit."""
 

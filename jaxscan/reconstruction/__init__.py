@@ -18,6 +18,7 @@ if TYPE_CHECKING:
         some_points,
         stack_placed,
     )
+    from jaxscan.reconstruction.decoys import Decoys
     from jaxscan.reconstruction.doubts import journal_doubts, pair_notes, profile_doubts, sweep_doubts
     from jaxscan.reconstruction.extraction import (
         Extraction,

@@ -1,50 +1,57 @@
 """How many stripes chance would find: the same search in frames whose difference is turned round.
 
 Noise, texture and motion give as many stripes where laser-on and laser-off frame are exchanged; the laser gives none.
-On every line the stripe competes with the decoy, and the decoys that win tell how many stripes are won by chance
-(J. E. Elias, S. P. Gygi, Target-decoy search strategy, Nature Methods 4, 2007). Lines on which no laser falls are won
-by either, so their number says nothing about the others: what counts is whether some clearness parts stripes from
-decoys. Where it leaves a small part of the stripes, many profiles must show a line that is clearer still.
+What is no clearer than most of these decoys is chance, and tells how many stripes of chance there are for each decoy;
+the decoys above a threshold, times that, are the stripes of chance above it. (J. E. Elias, S. P. Gygi, Target-decoy
+search strategy, Nature Methods 4, 2007; the rate as of J. D. Storey, A direct approach to false discovery rates,
+J. R. Stat. Soc. B 64, 2002.) The threshold leaves one in 300: lines are left out, not sweeps.
 
-Thresholds of the verdict, and why:
+What parts stripes from decoys is that a laser's line goes on, from line to line and from profile to profile, while
+what is printed on a wall moves on with the room; and that it is bright. Where a camera stands still the room goes on as
+well, and brightness decides; where profiles are far apart nothing goes on from one to the next, and the lines of one
+profile tell alone. `clearness` has a measure for each, and of the first two the one that leaves more is taken.
 
-- `_CERTAIN`, 4 sigma: fewer lines than its square tell nothing; so sure is it that stripes are more than decoys.
-- `_FAIR`, 1 in 400, with `_LUCK`, 2.5 sigma, and one more: decoys of a good sweep; with no more of them all is kept.
-- `_SHARES`, from 0.1 %: decoys among what is kept, a fifth of the false points that are promised, as bright print is
-  commoner than dark print. The larger ones are for sweeps of which less would leave nothing, and are said.
-- `_KEPT`, a quarter of the stripes, that must be left: without a laser at most 3 % of a colour camera's are, and 22 %
-  of a mono one's, which takes bright print for stripes.
-- `_CLEARER`, 1.5: clearness of a line on few rows over that of all decoys but one; without a laser 2 % are so clear.
-- `_SHOWN`, 35 % of the searched profiles must show such a line, on `_RUN` of `_WITHIN` rows; without a laser 25 % do.
-- `_PER_PROFILE`, 2: stripes of a profile, on average over the sweep, below which they may all be chance.
+A sweep is refused where all may be chance: less than 16 stripes go on further than decoys do, or are brighter where
+decoys go on as well as stripes; and less than a quarter of all are clearer by the third measure, as bright print, which
+is commoner than dark print, makes up to a fifth of a mono camera's stripes brighter than all decoys.
 """
 
-import threading
+import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Float, Int
 
 from jaxscan.errors import CaptureError
+from jaxscan.reconstruction.plan import Plan
 from jaxscan.reconstruction.sweep import Batch
-from jaxscan.stripes import ChunkStripes, FrameStripes, chosen_of
+from jaxscan.stripes import ChunkStripes, chosen_of
 
 
-_LOOKS, _LOOKS_WITHOUT_OFF = 8, 16
-"""Profiles of a sweep that are searched for decoys."""
-_BYTES = 200e6
-"""Frames of these profiles that are kept, at most; of large frames fewer are searched."""
-_ALONG, _NEXT_LINES, _NEXT_PX = 5, 2, 1.0
-"""Rows on either side that may go on with a stripe; how many lines the next one is away at most, and how many pixels
-for each of them."""
-_PROFILES = 256
-"""Profiles looked at together."""
-_CERTAIN, _FAIR, _LUCK = 4.0, 0.0025, 2.5
-_SHARES, _KEPT = (0.001, 0.01, 0.05), 0.25
-_CLEARER, _SHOWN, _RUN, _WITHIN = 1.5, 0.35, 3, 5
+_RUN, _RUNS, _RUNS_WITHOUT_OFF = 5, 2, 4
+"""Neighbouring profiles that are searched for decoys, and at how many places of the sweep."""
+_LINES, _PROFILES = 5, 2
+"""Neighbours on either side with which a stripe is compared."""
+_NOISE_PX, _SLOPE = 0.5, 0.5
+"""Distance of neighbours' centres up to which they go on with each other [px], and what is added for each line [px]."""
+_APART_PX, _DRIFT, _LEAST_DRIFT_PX = 6.0, 1 / 16, 1.0
+"""Motion of the room between profiles that are compared, at least [px]; the part of it that is added for each profile,
+and at least so much [px]."""
+_AT_ONCE = 256
+"""Profiles that are looked at together."""
+_SHARE, _LUCK, _MOST = 0.003, 2.5, 0.05
+"""Part of what is kept that chance may have, with so many sigmas of luck where all is kept; and the part up to which
+all is kept where no threshold can be set."""
+_RATE = 1.5
+"""Stripes of chance for each decoy, at most: bright print is commoner than dark print."""
+_CERTAIN, _KEPT = 16, 0.25
+"""Stripes, and part of them, that chance does not give."""
+_STANDS = 0.9
+"""Part of their neighbours with which decoys go on where a camera stands still."""
 _PER_PROFILE = 2.0
+"""Stripes of a profile, on average over the sweep, below which they may all be chance."""
 _HELPS = "narrower range limits, one dark picture as --off of `jaxscan import`, or the right --laser-colour"
 
 
@@ -55,148 +62,231 @@ class Chance:
     least: float = 0.0
     """Smallest clearness (`clearness`) of a stripe that is believed; 0 for all."""
     measure: int = 0
-    """Which of the two."""
+    """Which of the three."""
     note: str | None = None
     """A sentence for the user."""
 
 
-def clearness(stripes: Mapping[str, np.ndarray] | FrameStripes) -> Float[np.ndarray, "profiles lines 2"]:
-    """Two measures of how clear a stripe is, 0 for none: width over the standard deviation of the centre, times the
-    square of the part of the rows around that go on with it [1]; and the same times the root of the amplitude [DN].
+class Spacing(NamedTuple):
+    """Which profiles of a laser are neighbours."""
 
-    Width over sigma falls with noise and misfit; but where speckle is strong it is about the same for all. A laser's
-    line goes on from row to row, and what chance finds seldom does.
+    every: int = 1
+    """Number of profiles to the next one that is compared."""
+    drift_px: float = _LEAST_DRIFT_PX
+    """How far a stripe may move from one to the next [px]."""
+
+    @classmethod
+    def of(cls, plan: Plan) -> "Spacing":
+        """Far enough apart that the room has moved on."""
+        sweep, camera = plan.sweep, plan.scanner.camera
+        own = sweep.angles[sweep.record[sweep.laser == sweep.laser[0]]]
+        turn = float(np.median(np.abs(np.diff(own)))) if len(own) > 1 else 0.0
+        step = turn * float(max(np.asarray(camera.fx), np.asarray(camera.fy)))
+        if plan.scanner.turntable.carries not in ("scanner", "object") or step <= 0.0:
+            return cls()
+        every = int(np.clip(np.ceil(_APART_PX / step), 1, max(1, (len(own) - 1) // (_RUN - 1))))
+        return cls(every, max(_LEAST_DRIFT_PX, _DRIFT * every * step))
+
+
+def clearness(
+    stripes: Mapping[str, np.ndarray], sequences: list[Int[np.ndarray, " n"]], spacing: Spacing
+) -> Float[np.ndarray, "profiles lines 3"]:
+    """Three measures of how clear a stripe is, 0 for none.
+
+    The part of its neighbours that go on with it [1]: the mean of that of neighbouring profiles on the same line and
+    that of all around. Its square times the amplitude [DN]. The square of the part of the neighbouring lines of its
+    own profile, times the amplitude [DN].
+
+    Args:
+        stripes: Fields u, amplitude and valid [profiles, lines].
+        sequences: Profiles that follow each other as neighbours.
+        spacing: How far a stripe may move between two of them.
     """
-    fields = stripes._asdict() if isinstance(stripes, FrameStripes) else stripes
-    names = ("valid", "u", "width", "sigma", "amplitude")
-    valid, u, width, sigma, amplitude = (np.asarray(fields[name]) for name in names)
-    found = np.zeros((*valid.shape, 2), np.float32)
-    for first in range(0, len(valid), _PROFILES):
-        part = slice(first, first + _PROFILES)
-        clear = np.where(valid[part], width[part] / np.maximum(sigma[part], 1e-4), 0.0)
-        clear = clear * ((1.0 + _that_go_on(u[part], valid[part])) / (1.0 + 2.0 * _ALONG)) ** 2
-        found[part, :, 0], found[part, :, 1] = clear, clear * np.sqrt(np.maximum(amplitude[part], 0.0))
+    u, valid, amplitude = (np.asarray(stripes[name]) for name in ("u", "valid", "amplitude"))
+    found = np.zeros((*valid.shape, 3), np.float32)
+    # A Bayer mosaic has most colours on every other line.
+    every = next((k for k in (0, 1) if not valid[:, 1 - k :: 2].any()), None)
+    lines = np.s_[:] if every is None else np.s_[every::2]
+    for own in sequences:
+        whole, alone = _that_go_on(u[own][:, lines], valid[own][:, lines], spacing.drift_px, 1 if every is None else 2)
+        light = np.maximum(amplitude[own][:, lines], 0.0)
+        measures = np.stack([whole, whole**2 * light, alone**2 * light], -1)
+        found[own, lines] = np.where(valid[own][:, lines, None], measures, 0.0)
     return found
 
 
-def _that_go_on(u: Float[np.ndarray, "profiles lines"], valid: np.ndarray) -> np.ndarray:
-    """How many of the rows on both sides of each go on with its stripe, without a break."""
-    # Those that have a stripe, one after the other.
-    line = np.argsort(~valid, axis=1, kind="stable")
-    there, centre = (np.take_along_axis(field, line, 1) for field in (valid, u))
-    lines = np.diff(line, axis=1)
-    goes_on = there[:, 1:] & (lines <= _NEXT_LINES) & (np.abs(np.diff(centre, axis=1)) < _NEXT_PX * lines)
-    beyond = np.pad(goes_on, ((0, 0), (_ALONG, _ALONG)))
-    count, rows = np.zeros(valid.shape, np.float32), valid.shape[1]
-    before, after = (there.copy() for _ in range(2))
-    for k in range(1, _ALONG + 1):
-        before &= beyond[:, _ALONG - k : _ALONG - k + rows]
-        after &= beyond[:, _ALONG + k - 1 : _ALONG + k - 1 + rows]
-        count += before
-        count += after
-    np.put_along_axis(found := np.zeros_like(count), line, count, 1)
-    return found
+def _that_go_on(
+    u: Float[np.ndarray, "profiles lines"], valid: np.ndarray, drift_px: float, line_step: int
+) -> tuple[np.ndarray, np.ndarray]:
+    """Parts of the neighbours that go on with each stripe: of all, and of those in its own profile."""
+    profiles, lines = valid.shape
+    # How many neighbours there are, fewer at the ends, with the stripe itself.
+    ahead, beside = (
+        np.minimum(np.arange(size), reach) + np.minimum(np.arange(size)[::-1], reach) + 1.0
+        for size, reach in ((profiles, _PROFILES), (lines, _LINES))
+    )
+    counts = np.zeros((3, profiles, lines), np.float32)
+    for first in range(0, profiles, _AT_ONCE):
+        before, stop = max(first - _PROFILES, 0), min(first + _AT_ONCE, profiles)
+        part = slice(before, min(stop + _PROFILES, profiles))
+        counts[:, first:stop] = _links(u[part], valid[part], drift_px, line_step)[:, first - before : stop - before]
+    own, alone, others = counts
+    around = (alone + own + others) / np.maximum(ahead[:, None] * beside - 1.0, 1.0)
+    # Something is left of a stripe that is alone: its brightness counts.
+    least = lambda share: np.maximum(share, 0.01)
+    alone = least(alone / np.maximum(beside - 1.0, 1.0))
+    return (least(0.5 * (own / (ahead[:, None] - 1.0) + around)) if profiles > 1 else alone), alone
+
+
+def _links(
+    u: Float[np.ndarray, "profiles lines"], valid: np.ndarray, drift_px: float, line_step: int
+) -> Float[np.ndarray, "3 profiles lines"]:
+    """Numbers of neighbours that go on with each: on the same line, in the same profile, and elsewhere."""
+    profiles, lines = valid.shape
+    counts = np.zeros((3, profiles, lines), np.float32)
+    place = np.where(valid, u, np.inf).astype(np.float32)
+    for p in range(min(_PROFILES, profiles - 1) + 1):
+        for k in range(-_LINES if p else 1, min(_LINES, lines - 1) + 1):
+            if abs(k) >= lines:
+                continue
+            one = np.s_[: profiles - p, max(-k, 0) : lines - max(k, 0)]
+            other = np.s_[p:, max(k, 0) : lines - max(-k, 0)]
+            near = np.float32(_NOISE_PX + _SLOPE * line_step * abs(k) + drift_px * p)
+            with np.errstate(invalid="ignore"):
+                goes_on = np.abs(place[one] - place[other]) <= near
+            kind = counts[0 if k == 0 else 1 if p == 0 else 2]
+            kind[one] += goes_on
+            kind[other] += goes_on
+    return counts
+
+
+class Decoys(NamedTuple):
+    """The decoys of some profiles of a sweep."""
+
+    profile: Int[np.ndarray, " searched"]
+    """Which profiles."""
+    u: Float[np.ndarray, "searched lines"]
+    """Centre [px]."""
+    amplitude: Float[np.ndarray, "searched lines"]
+    """[DN]; 0 where there is no decoy."""
+
+    @staticmethod
+    def joined(parts: "list[Decoys]") -> "Decoys":
+        """Those of all parts of a sweep."""
+        together = Decoys(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
+        order = np.argsort(together.profile)
+        return Decoys(*(field[order] for field in together))
 
 
 class DecoyWatch:
-    """Keeps some pairs of a sweep while they pass by, and searches them for decoys at the end."""
+    """Searches some profiles of a sweep for decoys while they pass by."""
 
-    def __init__(self, profiles: int, *, predicted: bool, first: int = 0) -> None:
+    def __init__(self, plan: Plan, *, predicted: bool, first: int = 0) -> None:
         """
         Args:
-            profiles: Of the sweep.
+            plan: Of the whole sweep.
             predicted: Whether the laser-off frames are predicted.
             first: Where a part of the sweep is watched, the number of profiles before it.
         """
-        looks = _LOOKS_WITHOUT_OFF if predicted else _LOOKS
-        self._chosen = set((np.unique(np.linspace(0, profiles - 1, min(looks, profiles)).astype(int)) - first).tolist())
-        self._kept: list[tuple[Batch, np.ndarray]] = []
-        self._profiles, self.found = profiles, 0
-        self._bytes, self._lock = 0, threading.Lock()
+        lasers, every = np.unique(plan.sweep.laser), Spacing.of(plan).every
+        runs = -(-(_RUNS_WITHOUT_OFF if predicted else _RUNS) // len(lasers))
+        self._chosen: set[int] = set()
+        for laser in lasers:
+            own = np.flatnonzero(plan.sweep.laser == laser)
+            span = every * (_RUN - 1) + 1
+            count = max(1, min(runs, len(own) // span))
+            for start in np.linspace(0, max(len(own) - span, 0), count).astype(int):
+                self._chosen |= set((own[start : start + span : every] - first).tolist())
+        self._first, self._lines = first, plan.lines
 
-    def look(self, batch: Batch, found: ChunkStripes) -> None:
-        """Keep the chosen ones of a batch, to be searched for decoys; in threads and in any order."""
-        stripes = clearness(chosen_of(found.stripes, found.chosen))
-        with self._lock:
-            self.found += int(np.count_nonzero(stripes[..., 0]))
+    def look(self, batch: Batch, search: Callable[[Batch], ChunkStripes]) -> Decoys:
+        """The decoys of the chosen profiles of a batch."""
         rows = [k for k, profile in enumerate(batch.profiles.tolist()) if profile in self._chosen]
-        if batch.off is None or not rows or len(stripes) != len(batch.on):
-            return
-        with self._lock:
-            each = 2 * batch.on[0].nbytes
-            rows = rows[: max(int((_BYTES - self._bytes) // each), 0 if self._bytes else 1)]
-            self._bytes += each * len(rows)
-            if rows:
-                on, off = (np.asarray(frames)[rows] for frames in (batch.on, batch.off))
-                self._kept.append((Batch(batch.profiles[rows], batch.laser, on, off), stripes[rows]))
+        none = np.zeros((0, self._lines), np.float32)
+        if batch.off is None or not rows:
+            return Decoys(np.zeros(0, int), none, none)
+        on, off = (np.asarray(frames)[rows] for frames in (batch.on, batch.off))
+        result = search(Batch(batch.profiles[rows], batch.laser, off, on))
+        found = chosen_of(result.stripes, result.chosen)
+        if len(found.u) != len(rows):
+            # Where all candidates of a line are wanted none is judged.
+            return Decoys(np.zeros(0, int), none, none)
+        u, amplitude = (np.asarray(field, np.float32) for field in (found.u, found.amplitude))
+        return Decoys(batch.profiles[rows] + self._first, u, np.where(np.asarray(found.valid), amplitude, 0.0))
 
-    def compared(
-        self, search: Callable[[Batch], ChunkStripes], size: int
-    ) -> tuple[Float[np.ndarray, "searched lines 2"], Float[np.ndarray, "searched lines 2"]]:
-        """Search what is kept for decoys: the clearness of the stripes, and of their decoys."""
-        compared: list[tuple[np.ndarray, np.ndarray]] = []
-        for laser in sorted({batch.laser for batch, _ in self._kept}):
-            own = [item for item in self._kept if item[0].laser == laser]
-            profiles, on, off, found = (
-                np.concatenate(parts)
-                for parts in zip(*((b.profiles, np.asarray(b.on), np.asarray(b.off), s) for b, s in own), strict=True)
-            )
-            for start in range(0, len(profiles), size):
-                part = slice(start, start + size)
-                result = search(Batch(profiles[part], laser, off[part], on[part]))
-                compared.append((found[part], clearness(chosen_of(result.stripes, result.chosen))))
-        self._kept = []
-        if not compared:
-            none = np.zeros((0, 0, 2), np.float32)
-            return none, none
-        stripes, decoys = (np.concatenate(parts) for parts in zip(*compared, strict=True))
-        return stripes, decoys
+
+def judge_sweep(plan: Plan, stripes: Mapping[str, np.ndarray], decoys: Decoys) -> tuple[Chance, np.ndarray]:
+    """The verdict on a sweep, and which of its stripes are believed.
+
+    Args:
+        plan: Of the whole sweep.
+        stripes: Fields u, amplitude and valid [profiles, lines], one stripe of each line.
+        decoys: Those of the searched profiles.
+
+    Raises:
+        CaptureError: As `judge`.
+    """
+    valid, laser, spacing = np.asarray(stripes["valid"]), plan.sweep.laser, Spacing.of(plan)
+    runs = [
+        own[start : start + _RUN]
+        for own in (np.flatnonzero(laser[decoys.profile] == one) for one in np.unique(laser))
+        for start in range(0, len(own), _RUN)
+    ]
+    searched = {name: np.asarray(stripes[name])[decoys.profile] for name in ("u", "amplitude", "valid")}
+    turned = {"u": decoys.u, "amplitude": decoys.amplitude, "valid": decoys.amplitude > 0}
+    both = (clearness(fields, runs, spacing) for fields in (searched, turned))
+    chance = judge(*both, per_profile=np.count_nonzero(valid) / len(valid))
+    if chance.least == 0.0:
+        return chance, valid
+    own = [np.flatnonzero(laser == one) for one in np.unique(laser)]
+    sequences = [one[start :: spacing.every] for one in own for start in range(min(spacing.every, len(one)))]
+    believed = clearness(stripes, sequences, spacing)[..., chance.measure] >= np.float32(chance.least)
+    if np.count_nonzero(believed) < _PER_PROFILE * len(valid):
+        chance = dataclasses.replace(chance, note=_FEW)
+    return chance, believed
+
+
+_FEW = "the sweep is doubtful: hardly any record shows a stripe, and chance may have found those"
 
 
 class _Contest(NamedTuple):
     """Stripes against decoys by one measure."""
 
-    won: Float[np.ndarray, " n"]
-    """Clearness of the stripes that win their line, rising."""
-    lost: Float[np.ndarray, " m"]
-    """That of the decoys that do."""
+    stripes: Float[np.ndarray, " n"]
+    """Clearness of the stripes, rising."""
+    decoys: Float[np.ndarray, " m"]
+    """That of the decoys."""
+    rate: float
+    """Stripes of chance for each decoy [1]."""
 
     @classmethod
     def of(cls, stripes: np.ndarray, decoys: np.ndarray) -> "_Contest":
-        return cls(np.sort(stripes[stripes > decoys]), np.sort(decoys[decoys >= np.maximum(stripes, 1e-9)]))
+        stripes, decoys = (np.sort(values[values > 0]) for values in (stripes, decoys))
+        middle = float(np.median(decoys)) if len(decoys) else 0.0
+        rate = int(np.count_nonzero(stripes <= middle)) / max(int(np.count_nonzero(decoys <= middle)), 1)
+        # Where decoys are clearer than the laser's stripes these are no chance.
+        return cls(stripes, decoys, min(rate, _RATE))
+
+    @property
+    def chance(self) -> float:
+        """Stripes that are chance."""
+        return self.rate * len(self.decoys)
 
     def best(self, share: float) -> tuple[int, float]:
-        """Stripes that the lowest threshold with such a share of decoys leaves, and the threshold."""
+        """Stripes that the lowest threshold with such a share of chance leaves, and the threshold."""
         # From each decoy's clearness on: how many of both are left above it.
-        left = len(self.won) - np.searchsorted(self.won, self.lost, side="right")
+        left = len(self.stripes) - np.searchsorted(self.stripes, self.decoys, side="right")
         # Of all thresholds one is taken, so luck has no part in it; one decoy is always allowed.
-        good = np.flatnonzero(len(self.lost) - 1 - np.arange(len(self.lost)) <= share * left + 1.0)
+        above = len(self.decoys) - 1 - np.arange(len(self.decoys))
+        good = np.flatnonzero(np.maximum(above - 1, 0) * self.rate <= share * left)
         if not len(good):
             return 0, 0.0
-        return int(left[good[0]]), float(np.nextafter(np.float32(self.lost[good[0]]), np.float32(np.inf)))
-
-
-def _clear_lines(
-    stripes: Float[np.ndarray, "profiles lines measures"],
-    decoys: Float[np.ndarray, "profiles lines measures"],
-    contests: list[_Contest],
-) -> tuple[int, float, int] | None:
-    """Stripes that are clearer by half than decoys, the threshold, and by which measure; None where not enough profiles
-    have several in neighbouring rows."""
-    found = []
-    for measure, contest in enumerate(contests):
-        least, own = _CLEARER * contest.best(0.0)[1], stripes[..., measure]
-        kept = (own > decoys[..., measure]) & (own >= least) & (least > 0.0)
-        rows = np.lib.stride_tricks.sliding_window_view(kept, min(_WITHIN, kept.shape[1]), axis=1)
-        profiles = np.count_nonzero((np.count_nonzero(rows, axis=-1) >= _RUN).any(1))
-        if profiles >= _SHOWN * len(kept):
-            found.append((int(np.count_nonzero(kept)), float(least), measure))
-    return max(found, default=None)
+        return int(left[good[0]]), float(np.nextafter(np.float32(self.decoys[good[0]]), np.float32(np.inf)))
 
 
 def judge(
-    stripes: Float[np.ndarray, "profiles lines 2"],
-    decoys: Float[np.ndarray, "profiles lines 2"],
+    stripes: Float[np.ndarray, "profiles lines 3"],
+    decoys: Float[np.ndarray, "profiles lines 3"],
     *,
     per_profile: float,
 ) -> Chance:
@@ -208,31 +298,27 @@ def judge(
         per_profile: Stripes of a profile, on average over the whole sweep.
 
     Raises:
-        CaptureError: If the stripes are not more than those of chance, no threshold parts them, and no clear line is
-            shown by several profiles.
+        CaptureError: If the stripes are not told from those of chance.
     """
     contests = [_Contest.of(stripes[..., k], decoys[..., k]) for k in range(stripes.shape[-1])]
-    won, lost = min(((len(one.won), len(one.lost)) for one in contests), key=lambda both: both[1])
-    if won + lost < _CERTAIN**2:
-        few = "the sweep is doubtful: hardly any record shows a stripe, and chance may have found those"
-        return Chance(note=few if per_profile < _PER_PROFILE else None)
-    if lost <= _FAIR * won + _LUCK * np.sqrt(_FAIR * won) + 1.0:
-        return Chance()
-    doubtful = f"the sweep is doubtful: chance finds {100.0 * lost / max(won, 1):.1f} % as many stripes"
-    kept_alone = lambda kept: f"{doubtful}; only the clearest {min(100.0 * kept / won, 100.0):.0f} % of them were kept"
-    if won - lost > _CERTAIN * np.sqrt(won + lost):
-        for share in _SHARES:
-            kept, least, measure = max((*one.best(share), k) for k, one in enumerate(contests))
-            if kept >= _KEPT * won:
-                among = f"among which it has about {100 * share:.2g} %"
-                return Chance(least, measure, f"{kept_alone(kept)}, {among}; {_HELPS} would keep more")
-    shown = _clear_lines(stripes, decoys, contests)
-    if shown is not None:
-        kept, least, measure = shown
-        return Chance(least, measure, f"{kept_alone(kept)}, clearer by half than those; {_HELPS} would keep more")
-    if lost <= _SHARES[-1] * won:
+    total, chance = len(contests[0].stripes), float(min(one.chance for one in contests))
+    clean = chance <= _SHARE * total + _LUCK * np.sqrt(_SHARE * total) + 1.0
+    if clean or total + len(contests[0].decoys) < _CERTAIN:
+        return Chance(note=_FEW if per_profile < _PER_PROFILE else None)
+    doubtful = f"the sweep is doubtful: chance finds {100.0 * chance / max(total, 1):.1f} % of the stripes"
+    found = [(*one.best(_SHARE), k) for k, one in enumerate(contests)]
+    kept, least, measure = max(found[:2])
+    # Where decoys go on as far as stripes can, that they do is no sign of a laser.
+    that_go_on, threshold, _ = found[0]
+    told = (kept if threshold >= _STANDS else that_go_on) >= _CERTAIN
+    if not told:
+        kept, least, measure = max(found)
+    if told or kept >= _KEPT * total:
+        part = f"only the clearest {min(100.0 * kept / total, 100.0):.0f} % of them were kept"
+        return Chance(least, measure, f"{doubtful}; {part}, of which it has about one in 300; {_HELPS} would keep more")
+    if chance <= _MOST * total:
         return Chance(note=f"{doubtful}, as clear as these; {_HELPS} would tell them apart")
     raise CaptureError(
-        f"The stripes of the sweep are not told from chance: {won} lines have one, {lost} a clearer one with laser on "
-        f"and off exchanged; check that the laser was lit in the on images; else try {_HELPS}."
+        f"The stripes of the sweep are not told from chance: {total} lines have one, {len(contests[0].decoys)} "
+        f"have one with laser on and off exchanged; check that the laser was lit in the on images; else try {_HELPS}."
     )

@@ -16,7 +16,7 @@ from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction.ahead import Progress, map_ahead, workers
 from jaxscan.reconstruction.along import SmoothedSweep
 from jaxscan.reconstruction.colours import stripe_colours
-from jaxscan.reconstruction.decoys import Chance, DecoyWatch, clearness, judge
+from jaxscan.reconstruction.decoys import Decoys, DecoyWatch, judge_sweep
 from jaxscan.reconstruction.plan import Plan, plan_sweep
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches, colour_exposure, place, rows_of
@@ -96,12 +96,8 @@ class StripePart(NamedTuple):
 
     fields: dict[str, np.ndarray]
     """As of `Stripes`, a profile for each laser in a record."""
-    clear: np.ndarray
-    """Clearness of the stripes in profiles that were searched for decoys, float32 [searched, lines, 2]."""
-    decoys: np.ndarray
-    """The same of the decoys."""
-    found: int
-    """Stripes, before any is left out."""
+    decoys: Decoys
+    """Those of the profiles that were searched for them; none where a line has several stripes."""
     notes: tuple[str, ...]
     """As of `Extraction`, of what was learned."""
     noise: str
@@ -140,11 +136,12 @@ def extract_part(
     ahead = [next(coming)]
     while sum(len(chunk.on) for chunk in ahead) < min(LEARNED_RECORDS, len(plan.sweep)):
         ahead.append(next(coming))
-    learned, profiles = learn(plan, _first(ahead), noise=noise), len(plan.sweep.record)
+    learned = learn(plan, _first(ahead), noise=noise)
     frames = _replayed(ahead, coming)
     if learned.predicted:
         learned, room = _before_what(learned, _first(ahead))
         frames = frames if room is None else with_off(plan, room)
+    watch = DecoyWatch(plan, predicted=learned.predicted, first=before)
     if part is not None:
         for batch in batches(plan.sweep, plan.size, frames):
             learned = learned.taught_by(batch)
@@ -152,8 +149,7 @@ def extract_part(
                 break
         plan = dataclasses.replace(plan_sweep(part, plan.scanner, plan.settings), size=plan.size)
         frames = with_off(plan)
-    sweep, watch = plan.sweep, DecoyWatch(profiles, predicted=learned.predicted, first=before)
-    each, settings = learned.profiles_per_record, plan.settings
+    sweep, each, settings = plan.sweep, learned.profiles_per_record, plan.settings
     fields = empty_stripes(each * len(sweep.record), plan.lines)
     chosen = np.full((len(sweep.record), plan.lines), -1, np.int8)
 
@@ -163,24 +159,24 @@ def extract_part(
             learned = learned.taught_by(batch)
             yield learned, batch
 
-    def compute(item: tuple[Learned, Batch]) -> tuple[Batch, ChunkStripes, np.ndarray]:
+    def compute(item: tuple[Learned, Batch]) -> tuple[Batch, ChunkStripes, np.ndarray, Decoys]:
         known, batch = item
         found = known.find(batch)
-        watch.look(batch, found)
-        return batch, found, known.colours(batch, found)
+        return batch, found, known.colours(batch, found), watch.look(batch, known.find)
 
-    for batch, found, rgb in map_ahead(compute, taught(), workers(), compiled=learned.compiles):
+    decoys: list[Decoys] = []
+    for batch, found, rgb, turned in map_ahead(compute, taught(), workers(), compiled=learned.compiles):
         rows = place(rows_of(batch.profiles, each))
         for name, field in fields.items():
             field[rows] = rgb if name == "rgb" else np.asarray(getattr(found.stripes, name))
+        decoys.append(turned)
         if found.chosen is not None:
             chosen[batch.profiles] = found.chosen
         if progress is not None:
             progress(int(sweep.record[batch.profiles[-1]]) + 1, len(sweep))
     if settings.check_steps:
         fields = pick_by_steps(fields, chosen, sweep.laser, sweep.angles[sweep.record])
-    clear, decoys = watch.compared(learned.find_shared, plan.size)
-    return StripePart(fields, clear, decoys, watch.found, learned.notes, learned.noise)
+    return StripePart(fields, Decoys.joined(decoys), learned.notes, learned.noise)
 
 
 def join_parts(plan: Plan, parts: Sequence[StripePart]) -> Extraction:
@@ -191,20 +187,18 @@ def join_parts(plan: Plan, parts: Sequence[StripePart]) -> Extraction:
     """
     sweep = plan.sweep
     fields = {name: np.asarray(_joined([part.fields[name] for part in parts])) for name in parts[0].fields}
-    searched = [part for part in parts if part.clear.size]
-    chance = Chance()
-    if searched:
-        clear, decoys = (np.concatenate([getattr(part, name) for part in searched]) for name in ("clear", "decoys"))
-        chance = judge(clear, decoys, per_profile=sum(part.found for part in parts) / len(sweep.record))
-    if chance.least > 0.0:
-        doubtful = clearness(fields)[..., chance.measure] < np.float32(chance.least)
-        # The parts are the caller's.
-        fields = {name: field.copy() for name, field in fields.items()}
-        for field in fields.values():
-            field[doubtful] = 0
+    decoys, notes = Decoys.joined([part.decoys for part in parts]), parts[0].notes
+    if len(decoys.profile) and len(fields["u"]) == len(sweep.record):
+        chance, believed = judge_sweep(plan, fields, decoys)
+        notes = (*notes, *([chance.note] if chance.note else []))
+        if chance.least > 0.0:
+            # The parts are the caller's.
+            fields = {name: field.copy() for name, field in fields.items()}
+            for field in fields.values():
+                field[~believed] = 0
     profile = np.arange(len(fields["u"])) // (len(fields["u"]) // len(sweep.record))
     stripes = Stripes(**fields, record=sweep.record[profile], laser=sweep.laser[profile])
-    return Extraction(stripes, (*parts[0].notes, *([chance.note] if chance.note else [])), parts[0].noise)
+    return Extraction(stripes, notes, parts[0].noise)
 
 
 @dataclass(frozen=True, eq=False)

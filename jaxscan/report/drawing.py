@@ -20,7 +20,7 @@ BLUE, ORANGE, GREEN, RED, SKY, PURPLE = "#0072b2", "#e69f00", "#009e73", "#d55e0
 SERIES = (BLUE, RED, GREEN, PURPLE, ORANGE, SKY)
 INK, SOFT, LINE = "#1c2530", "#5b6672", "#dfe3e8"
 ROUND = tuple(step * 10.0**power for power in range(-7, 8) for step in (1, 2, 5))
-"""Numbers by which people count, in order."""
+"""Round steps of a scale, in order."""
 RASTER_DPI = 180
 """Resolution of figure parts with thousands of marks, which are drawn as pixels."""
 

@@ -79,7 +79,7 @@ def calibration_page(
         An HTML document that fetches nothing and runs no scripts.
     """
     observations, fit = calibration.observations, calibration.fit
-    # Of a solve that did not converge only the residuals are shown; they tell which views disagree.
+    # If the solve did not converge, only the residuals are shown; they tell which views disagree.
     concluded = calibration.quality.converged is not False
     parts: list[Html | None] = [_verdict(calibration), _remarks(calibration)]
     if concluded:

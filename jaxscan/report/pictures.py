@@ -10,7 +10,7 @@ from jaxscan.report.drawing import GREEN, INK, LINE, ORANGE, ROUND, SERIES, SOFT
 
 
 ROBUST = 5.0
-"""Colours of deviations end at so many robust standard deviations; what lies farther is no scatter of the surface."""
+"""The colour scale ends at so many robust standard deviations: what lies farther is not the surface's own scatter."""
 
 
 def deviation_reach(found: DeviationMap) -> float:

@@ -440,7 +440,7 @@ def board_map(found: BoardMap, corners: np.ndarray, square_m: float) -> "Figure"
     axes = new_axes(figure, grid=False, xlabel="x on the board, mm", ylabel="y, mm", aspect="equal")
     size = 0.44 * 1e3 * square_m
     half = 0.5e3 * square_m
-    # Squares round the corners: those of some boards stand on no plain grid.
+    # Each corner gets its own square, since the corners of some boards are not on a plain grid.
     squares = np.stack([x, y], 1)[:, None] + half * np.array([[-1, -1], [1, -1], [1, 1], [-1, 1]])
     drawn = PolyCollection(list(squares), array=height, cmap="RdBu_r", clim=(-limit, limit), alpha=0.75, linewidths=0)
     axes.add_collection(drawn)

@@ -18,6 +18,10 @@ TESTS = {
         "Do the corner residuals still depend on where on the board they lie?",
         "the board is not flat",
     ),
+    "paper": (
+        "Would every placement have its board bent another way?",
+        "the board bends from view to view",
+    ),
     "table": (
         "Would every view have its board turned a little further?",
         "the table does not turn by the angles of its model",
@@ -84,8 +88,7 @@ class Headline(NamedTuple):
     """The first sentences of a report."""
 
     kind: Literal["good", "plain", "bad", "open"]
-    """"good": within a limit that was set; "plain": of use, and nobody has said how good it must be; "bad": refused;
-    "open": not judged."""
+    """"good": within the user's limit; "plain": usable, without a limit; "bad": refused; "open": not judged."""
     headline: str
     explanation: str
 
@@ -127,7 +130,7 @@ def headline(calibration: Calibration) -> Headline:
 
 
 def _limited(calibration: Calibration) -> bool:
-    """Whether a limit was set that the calibration keeps; a file may say anything."""
+    """Whether a limit was set that the calibration keeps; the file is not trusted."""
     settings = calibration.provenance.get("settings")
     return isinstance(settings, dict) and any(settings.get(key) is not None for key in ("limit_mm", "limit_px"))
 
@@ -143,12 +146,13 @@ def good_to_words(good_to: GoodTo) -> str:
 
 
 def _parts(quality: Quality, good_to: GoodTo) -> str:
-    """The causes that are worth a word, the largest first."""
+    """The causes that are large enough to be named, the largest first; a board that bends always is."""
     rig = good_to.sigma_mm is not None
     whole = (good_to.sigma_mm if rig else good_to.sigma_px) or 0.0
     tests = quality.verdict.tests if quality.verdict else ()
     sizes = [((test.effect_mm if rig else test.effect_px) or 0.0, test) for test in tests]
-    named = sorted(((size, test) for size, test in sizes if is_named(size, whole)), key=lambda part: -part[0])
+    worth = [(size, test) for size, test in sizes if is_named(size, whole) or test.bend_mm]
+    named = sorted(worth, key=lambda part: -part[0])
     texts = [
         f"{millimetres(size) if rig else pixels(size)}{'' if index else ' of that'} because {_cause(test, quality)}"
         for index, (size, test) in enumerate(named)
@@ -163,6 +167,8 @@ def _cause(test: ModelTest, quality: Quality) -> str:
         cause = (
             "the board's shape falls short, though it was freed" if freed else f"{cause} (its shape could not be found)"
         )
+    if test.bend_mm:
+        cause = f"{cause} by {millimetres(test.bend_mm)}"
     return f"{cause} {test.where}" if test.where else cause
 
 
@@ -218,7 +224,7 @@ def _part(name: str, calibration: Calibration) -> str:
 
 
 def _held(calibration: Calibration) -> list[str]:
-    """The parts that were given and held; a file may say anything."""
+    """The parts that were given and held; the file is not trusted."""
     said = calibration.provenance.get("held")
     return [part for part in ("camera", "sheet", "axis") if isinstance(said, list) and part in said]
 
@@ -356,7 +362,7 @@ def millimetres(sigma_mm: float) -> str:
     """A standard deviation with two significant digits."""
     if sigma_mm <= 0:
         return "0 mm"
-    # 0.00997 has its second digit where 0.01 has it.
+    # 0.00997 is rounded like 0.01.
     decimals = max(0, 1 - math.floor(math.log10(float(f"{sigma_mm:.1e}"))))
     return f"{sigma_mm:.{min(decimals, 6)}f} mm"
 
@@ -382,7 +388,7 @@ def calibration_date(calibration: Calibration, path: Path | None = None) -> str:
 
 
 def capture_names(calibration: Calibration) -> list[str]:
-    """Names of the captures of which a calibration was made; a file may say anything."""
+    """Names of the captures that a calibration was made from; the file is not trusted."""
     found = calibration.provenance.get("captures")
     return [str(one.get("name")) for one in found if isinstance(one, dict)] if isinstance(found, list) else []
 

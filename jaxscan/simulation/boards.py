@@ -66,7 +66,7 @@ def between_cells(cells: np.ndarray, row: np.ndarray, column: np.ndarray) -> np.
     """The quadratic spline over the cells of a picture, float32; places beyond the last but one lie on these."""
     from scipy.ndimage import map_coordinates  # type: ignore[import-untyped]
 
-    # What is no number becomes 1.
+    # NaN becomes 1.
     places = [np.fmin(np.fmax(at, 1), size - 2) for at, size in zip((row, column), cells.shape, strict=True)]
     return map_coordinates(cells, places, order=2, prefilter=False)
 
@@ -155,7 +155,7 @@ class SeenBoard:
         depth = -t[2] / towards
         bx, by = depth * r0 + t[0], depth * r1 + t[1]
         if self.picture.warp != (0.0, 0.0):
-            # The bow is shallow: each round divides its error by ten, at the least.
+            # The bow is shallow, so each round divides the error by ten or more.
             with np.errstate(over="ignore", invalid="ignore"):
                 for _ in range(6):
                     depth = (self.height(bx, by) - t[2]) / towards

@@ -219,7 +219,8 @@ class SensorSpec(Section):
     jpeg_quality: Annotated[int, Field(ge=1, le=100)] | None = None
     """The images are compressed to JPEGs of this quality and unpacked again; None: they are not."""
     stated: bool = True
-    """Whether the captures' headers tell response and compression; else they say, as those of strangers do: linear."""
+    """Whether the captures' headers state response and compression; if not, they say "linear", as those of strangers
+    do."""
     psf_px: Pixels = 0.7
     """Standard deviation of the lens's Gaussian point-spread function."""
     electrons_per_dn: Level = 40.0

@@ -207,7 +207,7 @@ def plan_boards(rig: TrueRig, scene: Scene, rng: np.random.Generator) -> list[Pl
     seen = np.zeros((6, 8))
     plan = []
     for number in range(spec.free_views):
-        # Where no stripe ever runs, the lens must be known too.
+        # The lens must be known also where no stripe ever runs.
         crossed = number % 3 < 2
         share = _share(number, spec.free_views)
         choices = [_pose(rig, scene, rng, share, turns=1, crossed=crossed)[0] for _ in range(_CHOICES)]

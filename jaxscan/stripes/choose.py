@@ -63,14 +63,14 @@ _LINES = 128
 """Lines that are compared at a time: the copies for it stay small beside the sweep itself."""
 
 
-def choose_stripes(
-    measured: FrameStripes, search: Search, choice: Choice, sites: Sites, image_lines: int, *, several: bool
+def on_image_lines(
+    measured: FrameStripes, number: Int8[Array, "frames lines"] | None, sites: Sites, image_lines: int, *, several: bool
 ) -> tuple[FrameStripes, Int8[Array, "frames lines"] | None]:
-    """Choose among the candidates of each line, and put them on the lines of the image; pure and traceable.
+    """The chosen stripes, or all candidates, on the lines of the image; pure and traceable.
 
     Args:
         measured: All candidates [frames, candidates, lines of the laser's plane].
-        search: Which side is near, and the signal-to-noise ratios that are asked for.
+        number: Of each line's stripe among them, -1 where there is none; None where nothing is chosen.
         sites: Where the laser's plane lies in the image.
         several: Whether all candidates are given.
 
@@ -80,9 +80,6 @@ def choose_stripes(
             given, or nothing is chosen (`choice` "all").
     """
     frames, count, lines = measured.u.shape
-    offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(lines) % len(sites.offsets)]
-    measured = measured._replace(u=jnp.where(measured.valid, measured.u + offsets[None, None], 0.0))
-    number = None if choice == "all" else _chosen(measured, search, choice)
     if several or number is None:
         stripes = jax.tree.map(lambda field: field.reshape(frames * count, lines), measured)
     else:
@@ -95,17 +92,25 @@ def choose_stripes(
 
         stripes, number = jax.tree.map(taken, measured), None
 
-    def on_image_lines(values, nothing=0):
+    def spread(values, nothing=0):
         if image_lines == lines:
             return values
         image = jnp.full((len(values), image_lines), nothing, values.dtype)
         last = sites.first_line + sites.line_step * lines
         return image.at[:, sites.first_line : last : sites.line_step].set(values)
 
-    return jax.tree.map(on_image_lines, stripes), None if number is None else on_image_lines(number, -1)
+    return jax.tree.map(spread, stripes), None if number is None else spread(number, -1)
 
 
-def _chosen(measured: FrameStripes, search: Search, choice: Choice) -> Int8[Array, "frames lines"]:
+def choose_stripes(measured: FrameStripes, search: Search, choice: Choice) -> Int8[Array, "frames lines"] | None:
+    """The candidate of each line that is the stripe, -1 where there is none; None where all are (`choice` "all").
+
+    Args:
+        measured: All candidates [frames, candidates, lines].
+        search: Which side is near, and the signal-to-noise ratios that are asked for.
+    """
+    if choice == "all":
+        return None
     limits = search.limits
     if choice == "path":
         return best_path(measured, alone_snr=limits.min_snr, continued_snr=limits.continued_snr)

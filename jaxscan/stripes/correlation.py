@@ -40,38 +40,65 @@ class Correlation(NamedTuple):
     """Of the errors of the rows of one profile. Hashable."""
 
     near: tuple[float, ...] = ()
-    """Of a row with the k-th next one, for k = 1 on; 0 beyond [1]."""
-    pixel: float = 0.0
-    """Part of the variance that depends on where in its pixel the stripe lies [1]: rows of an upright stripe share it,
-    those of a steep one do not."""
-    way_px: float = 0.5
-    """Way of the stripe over which such an error stays alike, as a standard deviation [px]."""
+    """Of what noise does to a row and to the k-th next one, for k = 1 on; 0 beyond [1]."""
+    blocks: float = 0.0
+    """Part of the variance that depends on where the stripe lies in the blocks of a compression, whose error is as
+    large as noise is [1]: rows of an upright stripe share it, those of a steep one do not. That by a mosaic is
+    beside it."""
+    mosaic_px: float = 0.0
+    """Standard deviation by where the stripe lies on a mosaic, however bright it is [px]: shared as well."""
 
-    def of(self, lag: np.ndarray, slope: float) -> np.ndarray:
-        """Of rows so far apart, of a stripe of such a slope [px/line]."""
-        near = np.array([1.0 - self.pixel, *self.near, 0.0])
-        return near[np.minimum(lag, len(near) - 1)] + self.pixel * alike_in_pixel(slope * lag, self.way_px)
+    def by_light(self, lag: np.ndarray, slope: float) -> np.ndarray:
+        """Of what is less in brighter rows so far apart, of a stripe of such a slope [px/line]."""
+        near = np.array([1.0, *self.near, 0.0])
+        return (1.0 - self.blocks) * near[np.minimum(lag, len(near) - 1)] + self.blocks * alike_in_blocks(lag * slope)
+
+    def by_mosaic(self, lag: np.ndarray, slope: float) -> np.ndarray:
+        """Of errors by a mosaic, over their variance in an upright stripe."""
+        return alike_on_mosaic(lag, slope, self.near)
 
 
 INDEPENDENT = Correlation()
+_BLOCK_PX = 0.5
+"""Way of a stripe over which an error by compression stays alike, as a standard deviation."""
+_LEAST_LEFT = 0.02
+"""Of the variance by a mosaic, where demosaicing takes most of it away [1]."""
 
 
-def alike_in_pixel(moved_px: np.ndarray, way_px: float) -> np.ndarray:
-    """Correlation of errors by the place in the pixel, of stripes so far apart."""
-    return np.exp(-0.5 * (moved_px / way_px) ** 2)
+def alike_in_blocks(moved_px: np.ndarray) -> np.ndarray:
+    """Correlation of errors by compression, of stripes so far apart."""
+    return np.exp(-0.5 * (moved_px / _BLOCK_PX) ** 2)
+
+
+def alike_on_mosaic(lag: np.ndarray, slope: np.ndarray | float, near: tuple[float, ...]) -> np.ndarray:
+    """Covariance of errors by a mosaic, of rows so far apart, over their variance in an upright stripe.
+
+    A mosaic has a colour on every second pixel, so its error has a period of two. It is there before demosaicing mixes
+    rows: that filter, which makes noise alike, lets less of the error of steeper stripes pass.
+
+    Args:
+        slope: Of the stripe [px/row].
+        near: Correlation of noise, as of `Correlation`.
+    """
+    filtered, turn = np.array(near), np.pi * np.asarray(slope)
+    passed = 1.0 + 2.0 * np.cos(turn[..., None] * np.arange(1, len(near) + 1)) @ filtered
+    return np.clip(passed / (1.0 + 2.0 * filtered.sum()), _LEAST_LEFT, 1.0) * np.cos(turn * lag)
 
 
 class Tables(NamedTuple):
-    """Figures of fits over those of independent rows, float32; 1 where a window has too few rows."""
+    """Figures of fits over those of independent rows, float32; 1 where a window has too few rows. First, by slope, of
+    rows with errors by light alone, then of those with errors by a mosaic alone."""
 
     windows: Float[Array, "sizes windows 4"]
     """Variance of a parabola's value, mean of chi-squared, its standard deviation, and the variance of the value's
-    difference to that of the next smaller window; by slope, and by the rows that are free before and behind."""
+    difference to that of the next smaller window; by the rows that are free before and behind."""
     edges: Float[Array, " edges"]
-    """Mean gain in chi-squared of two lines over a parabola; by slope, and by the rows on both sides."""
-    rows: Float[Array, "slopes 3"]
+    """Mean gain in chi-squared of two lines over a parabola; by the rows on both sides."""
+    rows: Float[Array, "errors 3"]
     """Chi-squared of four neighbours about a line, variance of a row's distance from that line, and that of the mean of
     many rows."""
+    mosaic: Array
+    """Variance by a mosaic [px^2]."""
     correlated: Array
     """Whether any of them is not 1."""
 
@@ -80,14 +107,15 @@ class Tables(NamedTuple):
 def tables_of(correlation: Correlation) -> Tables:
     """Tables for `smooth_profiles`."""
     lag = np.abs(np.subtract.outer(np.arange(2 * REACH + 1), np.arange(2 * REACH + 1)))
-    parts = [_tables(correlation.of(lag, slope)) for slope in SLOPES]
-    windows, edges, rows = (np.stack(part).astype(np.float32) for part in zip(*parts, strict=True))
+    covariances = [kind(lag, slope) for kind in (correlation.by_light, correlation.by_mosaic) for slope in SLOPES]
+    windows, edges, rows = (np.stack(part).astype(np.float32) for part in zip(*map(_tables, covariances), strict=True))
     windows = windows.swapaxes(0, 1).reshape(len(SIZES), -1, 4)
-    return Tables(windows, edges.reshape(-1), rows, np.asarray(correlation != INDEPENDENT))
+    mosaic = np.asarray(correlation.mosaic_px**2, np.float32)
+    return Tables(windows, edges.reshape(-1), rows, mosaic, np.asarray(correlation != INDEPENDENT))
 
 
 def _tables(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
-    """Of one slope, where the rows of the longest window have such a covariance."""
+    """Where the rows of the longest window have such a covariance."""
     fits, weights, before = _windows()
     shape = (len(SIZES), (REACH + 1) ** 2)
     quadratic = lambda h: np.einsum("...i,ij,...j->...", h, covariance, h)
@@ -97,7 +125,7 @@ def _tables(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     product = fits.projections @ covariance[:size, :size]
     free = np.maximum(fits.rows - 3.0, 1.0)
     mean = np.trace(product, axis1=1, axis2=2) / free
-    spread = np.sqrt(np.einsum("wij,wji->w", product, product) / free)
+    spread = np.sqrt(np.maximum(np.einsum("wij,wji->w", product, product), 0.0) / free)
     known = fits.rows > 3
     own = [np.where(known, one, 1.0)[fits.number].reshape(shape) for one in (mean, spread)]
     windows = np.stack([ratio(weights), *own, ratio(weights - before)], -1)
@@ -108,7 +136,7 @@ def _tables(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     line = _hat(np.stack([np.ones(4), around], 1))
     agree = np.sum((np.eye(4) - line) * covariance[np.ix_(around + 2, around + 2)]) / 2.0
     away = np.array([-0.25, -0.25, 1.0, -0.25, -0.25])
-    mean_of_many = covariance[0, 0] + 2.0 * covariance[0, 1 : REACH + 1].sum()
+    mean_of_many = max(covariance[0, 0] + 2.0 * covariance[0, 1 : REACH + 1].sum(), 0.0)
     stray = away @ covariance[:5, :5] @ away / (away @ away)
     return windows, edges, np.array([agree, stray, mean_of_many])
 

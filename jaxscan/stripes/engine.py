@@ -5,6 +5,7 @@ a CPU it goes from frame to frame, so that everything of a frame stays in a core
 several threads; on an accelerator it takes several frames at a time.
 """
 
+import functools
 import itertools
 import os
 from collections.abc import Callable, Sequence
@@ -20,8 +21,9 @@ from jaxtyping import Bool, Float, Int, Int8, UInt8
 
 from jaxscan.compiling import compile_wide
 from jaxscan.geometry import Array, StripeAxis
+from jaxscan.memory import kept
 from jaxscan.stripes.channels import doubted, doubts_of, other_channels
-from jaxscan.stripes.choose import choose_stripes, chosen_of
+from jaxscan.stripes.choose import choose_stripes, chosen_of, on_image_lines
 from jaxscan.stripes.estimators import ESTIMATORS, Estimator, estimator_of
 from jaxscan.stripes.exposures import merge_exposures
 from jaxscan.stripes.frames import (
@@ -36,7 +38,8 @@ from jaxscan.stripes.frames import (
     learn_noise,
     with_colour,
 )
-from jaxscan.stripes.planes import plane_of
+from jaxscan.stripes.gaps import LEAST_SNR, PASSES, fill_gaps, find_gaps
+from jaxscan.stripes.planes import Plane, plane_of
 from jaxscan.stripes.search import (
     LEARNED_FRAMES,
     ExtractionSetup,
@@ -309,28 +312,51 @@ def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind
     estimator, size = ESTIMATORS[kind.estimator], int(np.prod(kind.shape))
     sites = laser_sites(kind.pixel_format, kind.line)
 
-    def of_frame(k: Array) -> FrameStripes:
+    def planes(k: Array) -> tuple[Plane, Plane | None, Array]:
         cut = lambda stack: plane_of(stack.bytes, stack.start + k * size, kind.shape, kind.pixel_format, kind.line)
         lit, dark = cut(on), None if off is None else cut(off)
-        ratio = jnp.float32(1.0) if dark is None else _ratio(lit.samples, dark.samples, search)
-        return estimator.measure(lit, dark, ratio, search, sites, kind.linear)
+        return lit, dark, jnp.float32(1.0) if dark is None else _ratio(lit.samples, dark.samples, search)
 
-    if jax.default_backend() == "cpu":
-        shapes = jax.eval_shape(of_frame, jnp.int32(0))
-        nothing = jax.tree.map(lambda field: jnp.zeros((frames, *field.shape), field.dtype), shapes)
+    every = functools.partial(_of_frames, count=count, frames=frames)
+    measured = every(lambda k: estimator.measure(*planes(k), search, sites, kind.linear))
+    offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(measured.u.shape[2]) % len(sites.offsets)]
+    shift = lambda u: u + offsets.reshape(*(1,) * (u.ndim - 1), -1)
+    in_image = lambda found: found._replace(u=jnp.where(found.valid, shift(found.u), 0.0))
+    measured = in_image(measured)
+    number = choose_stripes(measured, search, kind.choice)
+    if (measure_at := estimator.at) is not None and number is not None and kind.choice == "path":
+        least = search._replace(limits=search.limits._replace(least_snr=jnp.float32(LEAST_SNR)))
 
-        def put(k, found):
-            return jax.tree.map(lambda all, one: lax.dynamic_update_index_in_dim(all, one, k, 0), found, of_frame(k))
+        def fill(_, known: tuple[FrameStripes, Array]) -> tuple[FrameStripes, Array]:
+            gaps = find_gaps(*known)
 
-        measured = lax.fori_loop(0, jnp.clip(count, 0, frames), put, nothing)
-    else:
-        measured = lax.map(of_frame, jnp.arange(frames, dtype=jnp.int32), batch_size=min(_AT_ONCE, frames))
+            def in_gaps(k: Array) -> FrameStripes:
+                peaks = jax.tree.map(lambda field: field[k][None], gaps.peaks(offsets[None], sites.pitch))
+                found = kept(jnp.any(peaks.exists), lambda: measure_at(*planes(k), peaks, least, sites, kind.linear))
+                return jax.tree.map(lambda field: field[0], found)
+
+            return fill_gaps(*known, gaps, in_image(every(in_gaps)))
+
+        measured, number = lax.fori_loop(0, PASSES, fill, (measured, number))
     lines = kind.shape[0] if kind.stripe_axis == "rows" else kind.shape[1]
-    stripes, chosen = choose_stripes(measured, search, kind.choice, sites, lines, several=kind.several)
+    stripes, chosen = on_image_lines(measured, number, sites, lines, several=kind.several)
     if len(kind.exposures) > 1:
         each = estimator.candidates if kind.several else 1
         stripes, chosen = merge_exposures(stripes, chosen, kind.exposures, each)
     return ChunkStripes(stripes, chosen)
+
+
+def _of_frames(of_frame: Callable[[Array], FrameStripes], *, count: Array, frames: int) -> FrameStripes:
+    """What the first `count` of so many frames give, by their number; zeros for the others."""
+    if jax.default_backend() != "cpu":
+        return lax.map(of_frame, jnp.arange(frames, dtype=jnp.int32), batch_size=min(_AT_ONCE, frames))
+    shapes = jax.eval_shape(of_frame, jnp.int32(0))
+    nothing = jax.tree.map(lambda field: jnp.zeros((frames, *field.shape), field.dtype), shapes)
+
+    def put(k, found):
+        return jax.tree.map(lambda all, one: lax.dynamic_update_index_in_dim(all, one, k, 0), found, of_frame(k))
+
+    return lax.fori_loop(0, jnp.clip(count, 0, frames), put, nothing)
 
 
 _extracted = compile_wide(_of_stack, static=("kind", "frames"), sooner=True)

@@ -24,7 +24,7 @@ from jaxtyping import Float
 from jaxscan.geometry import Array
 from jaxscan.stripes.fit import fit_peaks
 from jaxscan.stripes.frames import Sites
-from jaxscan.stripes.peaks import CANDIDATES, find_peaks
+from jaxscan.stripes.peaks import CANDIDATES, Peaks, find_peaks
 from jaxscan.stripes.planes import Plane
 from jaxscan.stripes.search import Search
 from jaxscan.stripes.stripes import Choice, FrameStripes, StripeSettings
@@ -50,6 +50,8 @@ class Estimator(NamedTuple):
     """Largest number of candidates of a line."""
     choices: tuple[Choice, ...]
     """Rules of choice that make sense of its candidates."""
+    at: Callable[[Plane, Plane | None, Array, Peaks, Search, Sites, bool], FrameStripes] | None
+    """The same at given places, where it can; in place of a search."""
     learns: bool
     """Whether the stripes of the first frames tell it width and speckle."""
 
@@ -57,7 +59,13 @@ class Estimator(NamedTuple):
 def _gaussian(on: Plane, off: Plane | None, lamp_ratio: Array, search: Search, sites: Sites, linear: bool):
     pitch = sites.pitch
     peaks = find_peaks(on, off, lamp_ratio, search.low, search.high, search.thresholds, pitch=pitch)
-    return fit_peaks(on, off, lamp_ratio, peaks, search, pitch=pitch, linear=linear)
+    return _gaussian_at(on, off, lamp_ratio, peaks, search, sites, linear)
+
+
+def _gaussian_at(
+    on: Plane, off: Plane | None, lamp_ratio: Array, peaks: Peaks, search: Search, sites: Sites, linear: bool
+):
+    return fit_peaks(on, off, lamp_ratio, peaks, search, pitch=sites.pitch, linear=linear)
 
 
 def _centre_of_gravity(on: Plane, off: Plane | None, lamp_ratio: Array, search: Search, sites: Sites, linear: bool):
@@ -127,8 +135,10 @@ def _median(on: Float[Array, "lines samples"], gate: Array) -> Array:
 
 
 ESTIMATORS = {
-    "gaussian": Estimator(_gaussian, CANDIDATES, ("path", "brightest", "nearest", "farthest", "all"), learns=True),
-    "centre_of_gravity": Estimator(_centre_of_gravity, 1, ("path", "brightest"), learns=False),
+    "gaussian": Estimator(
+        _gaussian, CANDIDATES, ("path", "brightest", "nearest", "farthest", "all"), _gaussian_at, learns=True
+    ),
+    "centre_of_gravity": Estimator(_centre_of_gravity, 1, ("path", "brightest"), None, learns=False),
 }
 """All estimators, by the names that settings and the command line have for them."""
 

@@ -135,6 +135,11 @@ def find_peaks(
         return left, (exists, centre, LATTICE_PX * (before + after))
 
     _, (exists, at, extent) = lax.scan(rank, _keys(lattice, ground, some), length=CANDIDATES)
+    return peaks_at(exists, at, extent, pitch)
+
+
+def peaks_at(exists: Array, at: Array, extent: Array, pitch: int) -> Peaks:
+    """Candidates of so wide an extent at such places, with the windows of their fits."""
     bins = jnp.where((extent > _BIN_EXTENT_PX) & (pitch == 1), 2, 1).astype(jnp.int32)
     first = jnp.floor(at / pitch + 0.5).astype(jnp.int32) - bins * (WINDOW // 2)
     return Peaks(exists, at, extent, first, bins)

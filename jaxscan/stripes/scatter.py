@@ -1,6 +1,7 @@
 """How the centres of neighbouring rows scatter, compared with the promise of their sigmas."""
 
 import functools
+import itertools
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from typing import NamedTuple
@@ -9,7 +10,7 @@ import numpy as np
 from jaxtyping import Bool, Float
 from numpy.lib.stride_tricks import sliding_window_view
 
-from jaxscan.stripes.correlation import INDEPENDENT, Correlation, alike_in_pixel
+from jaxscan.stripes.correlation import INDEPENDENT, Correlation, alike_in_blocks, alike_on_mosaic
 
 
 _CLASSES = 8
@@ -19,28 +20,26 @@ _LEAST = 200
 _MOST = 60_000
 """Rows that are looked at, about."""
 _LARGEST = 3.0
-_WIDE, _NARROW = 32, 20
+_WIDTHS = 32, 20
 """Rows of a window about a cubic: the narrow one is for surfaces that no wide cubic fits."""
-_LAGS = {_WIDE: 6, _NARROW: 4}
+_LAGS = 6
 """Distances of rows whose correlation is learned there."""
-_PRODUCTS = {_WIDE: 14, _NARROW: 10}
-"""Distances of rows whose products are looked at there."""
-_RELIEF = {_WIDE: (8.0, 12.0), _NARROW: (5.0, 8.0)}
-"""Lengths of the relief that a cubic leaves of a surface [rows]: it is no error."""
-_UPRIGHT, _STEEP = 0.02, 0.25
-"""Slopes up to which a stripe stays at its place in the pixel, and from which it passes all places in a window
-[px/row]."""
-_WINDOWS, _MANY, _CALM_WINDOWS, _ROUGH, _CURVED = 30, 300, 2.5, 4.0, 2.0
-"""Windows that are needed, and upright ones with which others have no part; scatter over the usual one up to which they
-count, as edges lie in the others; scatter over that of differences, from which a cubic is no surface; and over that of
-narrow windows, from which steep surfaces are curved."""
-_OF_UPRIGHT = 0.7
-"""Part of the error that steep stripes show and upright ones have too: compression keeps upright lines better."""
-_NOTICED, _LUCK, _PIXEL = 0.05, 3.0, 0.3
-"""Least correlation that is noticed; standard deviations by which that of next rows is no luck; and least error by the
-place in the pixel, over the others [1]."""
-_WAYS_PX = (0.35, 0.5, 0.7, 1.0, 1.4, 2.0)
-"""Ways over which an error by the place in the pixel may stay alike."""
+_RELIEF = np.array([0.25, 0.375])
+"""Lengths of the relief that a cubic leaves of a surface, over those of windows [1]: it is no error."""
+_SLOPES = (0.0, 0.003, 0.02, 0.05, 0.1, 0.2, 0.3, 0.4, np.inf)
+"""Limits of classes of slope [px/row]: in the first a stripe stays at its place in the pixel."""
+_PARTS, _MANY, _WINDOWS, _CALM_WINDOWS = 3, 30, 8, 2.5
+"""Classes of sigma in each of them; windows of one where there are several, and where there is one; and scatter over
+the usual one up to which they count, as edges lie in the others."""
+_ROUGH, _STEEP, _SHOWN = 4.0, 0.2, 1.3
+"""Variance about a cubic over that of differences, from which a cubic is no surface; slope from which a stripe passes
+all places in a window [px/row]; and how much more variance steep windows then have at least, where the place matters.
+"""
+_NOTICED, _LUCK, _GAIN = 0.05, 3.0, 20.0
+"""Least correlation that is noticed; standard deviations by which that of next rows is no luck; and how much less
+chi-squared becomes by errors that depend on the place in the pixel."""
+_FEW = 0.01
+"""Least deviation of the mean products of windows, over that of squares [1]."""
 _SECOND, _FOURTH = np.array([1.0, -2.0, 1.0]), np.array([1.0, -4.0, 6.0, -4.0, 1.0])
 _DOUBTFUL, _FEWEST, _CALM = (1.5, 2.5), 40, 0.8
 """Sigmas over those of other rows as bright from which a class begins; rows that it needs; and how much of the
@@ -82,17 +81,20 @@ class ScatterLaw(NamedTuple):
     """Parts of the variance that neighbours share, from one to another sigma over the usual one."""
     correlation: Correlation
     """As of `Scatter`."""
-    hidden: float = 1.0
-    """Scatter over that of differences, in which alike rows cancel [1]."""
+    variance: float = 1.0
+    """Where rows are alike, their variance over the promised one, less that of `Correlation.mosaic_px` [1]."""
 
     def of(self, rows: ProfileRows) -> Scatter:
         """The scatter of some profiles."""
         sigma, amplitude = np.asarray(rows.sigma), np.asarray(rows.amplitude, np.float32)
         # The smaller of both counts, and less than 1 counts as 1.
-        if any(np.all(values * self.hidden <= 1) for _, values in self.spreads):
+        if self.correlation != INDEPENDENT:
+            floor = (self.correlation.mosaic_px / np.maximum(sigma, 1e-9)) ** 2
+            scale = np.sqrt(np.maximum(self.variance + floor, 1.0)).astype(sigma.dtype)
+        elif any(np.all(values <= 1) for _, values in self.spreads):
             scale = np.ones_like(sigma)
         else:
-            scale = np.minimum(*(_interpolated(amplitude, *spread) for spread in self.spreads)) * self.hidden
+            scale = np.minimum(*(_interpolated(amplitude, *spread) for spread in self.spreads))
             scale = np.clip(scale, 1.0, _LARGEST).astype(sigma.dtype)
         common = np.zeros_like(sigma)
         doubt = _doubt(rows, self.usual) if self.common else sigma
@@ -106,13 +108,13 @@ _NOTHING = ScatterLaw((_ALIKE, _ALIKE), _ALIKE, (), INDEPENDENT)
 
 
 def scatter_law(rows: ProfileRows, line_step: int = 1) -> ScatterLaw:
-    r"""The scatter of the rows of one laser, from differences along the stripe.
+    r"""The scatter of the rows of one laser, along the stripe.
 
     $u_{i-2k} - 4 u_{i-k} + 6 u_i - 4 u_{i+k} + u_{i+2k}$ of a smooth and curved surface is noise alone. Its spread
     for k = 2 over its promised standard deviation, in classes of amplitude, is the scale; where second differences
     spread less, as between many edges, those count. A difference far beyond the others' spread is an edge, and left
-    out. Rows that are alike cancel in differences: `_learned` says how far they are, and what they hide. Neither is
-    believed to be good news: a scale below 1 is 1, a correlation below 0 is 0.
+    out. Rows that are alike cancel in differences: where there are such rows, `_learned` says what they all err by.
+    Neither is believed to be good news: a scale below 1 is 1, a correlation below 0 is 0.
 
     A row whose sigma is far over that of others as bright doubts its centre: an edge of the paint may lie under the
     stripe. Where such rows scatter less than they promise, they err together.
@@ -128,126 +130,136 @@ def scatter_law(rows: ProfileRows, line_step: int = 1) -> ScatterLaw:
     chosen = np.unique(np.linspace(0, count - 1, min(-(-_MOST // lines), count)).round().astype(int))
     some = ProfileRows(*(np.asarray(field)[chosen] for field in rows))
     with ThreadPoolExecutor(1) as pool:
-        windows = pool.submit(lambda: [_windows(some, line_step, width) for width in (_WIDE, _NARROW)])
+        windows = pool.submit(lambda: [_windows(some, line_step, width) for width in _WIDTHS])
         doubted = pool.submit(_doubted, some, line_step)
         wide = [_differences(some, 2 * line_step, weights) for weights in (_SECOND, _FOURTH)]
         spreads = tuple(_by_amplitude(*one) for one in wide)
         least = min(_spread(one) for one, _ in wide)
-        correlation, variance = _learned(windows.result(), least**2, mosaic=line_step > 1)
+        learned = _learned(windows.result(), least**2, mosaic=line_step > 1)
         usual, common = doubted.result()
-    hidden = 1.0 if correlation == INDEPENDENT else float(np.sqrt(variance) / least)
-    return ScatterLaw(spreads, usual or _ALIKE, common, correlation, hidden)
+    return ScatterLaw(spreads, usual or _ALIKE, common, *learned)
 
 
 class _Windows(NamedTuple):
-    """Windows of neighbouring rows without a gap."""
+    """Windows of neighbouring rows without a gap, about as steep and with about the same promise."""
 
-    u: Float[np.ndarray, "windows rows"]
-    """Centres in their promised standard deviation."""
+    width: int
+    """Rows of each."""
+    products: Float[np.ndarray, " distances"]
+    """Mean of the products of rows so far apart, as they are about a cubic, over the promised variance [1]."""
+    deviation: Float[np.ndarray, " distances"]
+    """Standard deviation of these means."""
     slope: Float[np.ndarray, " windows"]
     """Of the stripe, absolute [px/row]."""
+    information: float
+    """Mean of 1 over the promised variance [1/px^2]."""
+    usual: float
+    """Variance about a cubic, as the median window has it, over the promised one [1]."""
 
 
-def _windows(rows: ProfileRows, line_step: int, width: int) -> _Windows:
+def _windows(rows: ProfileRows, line_step: int, width: int) -> list[_Windows]:
     x = np.arange(width) - 0.5 * (width - 1)
-    found, slopes = [np.zeros((0, width))], [np.zeros(0)]
+    centres, sigmas = [np.zeros((0, width))], [np.zeros(0)]
     for first in range(line_step if rows.u.shape[1] >= width * line_step else 0):
-        parts = (field[:, first::line_step] for field in (rows.u, rows.sigma, rows.valid))
-        u, sigma, valid = (sliding_window_view(part, width, 1)[:, :: width // 2] for part in parts)
+        own = (field[:, first::line_step] for field in (rows.u, rows.sigma, rows.valid))
+        u, sigma, valid = (sliding_window_view(part, width, 1)[:, :: width // 2] for part in own)
         whole = valid.all(2)
-        u, sigma = u[whole].astype(np.float64), sigma[whole]
-        u -= u.mean(1, keepdims=True)
-        found.append(u / np.maximum(np.sqrt(np.mean(sigma**2, 1, keepdims=True)), 1e-9))
-        slopes.append(np.abs(u @ x) / (x @ x))
-    return _Windows(np.concatenate(found), np.concatenate(slopes))
+        u = u[whole].astype(np.float64)
+        centres.append(u - u.mean(1, keepdims=True))
+        sigmas.append(np.maximum(np.sqrt(np.mean(sigma[whole].astype(np.float64) ** 2, 1)), 1e-9))
+    u, sigma = np.concatenate(centres), np.concatenate(sigmas)
+    slope, left = np.abs(u @ x) / (x @ x), _left(width)
+    found = []
+    for low, high in itertools.pairwise(_SLOPES):
+        mine = np.flatnonzero((slope >= low) & (slope < high))
+        parts = int(np.clip(len(mine) // _MANY, 1, _PARTS))
+        for part in np.array_split(mine[np.argsort(sigma[mine])], parts) if len(mine) >= _WINDOWS else ():
+            residuals = u[part] @ left / sigma[part, None]
+            squares = np.sum(residuals**2, 1) / (width - 4.0)
+            usual = float(np.median(squares))
+            calm = squares < _CALM_WINDOWS * usual
+            residuals, part = residuals[calm], part[calm]
+            lags = range(width // 2 - 1)
+            products = np.stack([np.sum(residuals[:, : width - k] * residuals[:, k:], 1) for k in lags], 1)
+            # Windows overlap; and the scatter of few is uncertain itself.
+            deviation = np.hypot(products.std(0) / np.sqrt(len(part) / 1.5), _FEW * products[:, 0].mean())
+            information = float(np.mean(sigma[part] ** -2.0))
+            found.append(_Windows(width, products.mean(0), deviation, slope[part], information, usual))
+    return found
 
 
-def _learned(widths: Sequence[_Windows], least: float, *, mosaic: bool) -> tuple[Correlation, float]:
+def _learned(widths: list[list[_Windows]], least: float, *, mosaic: bool) -> tuple[Correlation, float]:
     """Correlation of the errors, and their variance over the promised one.
 
     An upright stripe keeps its place in the pixel, and what depends on it is an error of all of its rows, which none of
-    them shows. Steep stripes of the same laser show it.
+    them shows. Steeper stripes of the same laser show it.
 
     Args:
         widths: Windows, the widest first; of the widest in which a cubic fits the errors are learned.
         least: Variance over the promised one as differences have it.
-        mosaic: Whether other colours lie between the samples.
+        mosaic: Whether other colours lie between the samples: then there is no demosaicing or compression.
     """
     for windows in widths:
-        upright = windows.u[windows.slope < _UPRIGHT]
-        learned = _covariance(upright if len(upright) >= _MANY else windows.u)
-        if learned is not None and learned.usual <= _ROUGH * least and learned.near[0] > 0:
+        flat = [one for one in windows if one.slope.max() < _SLOPES[1]] or windows
+        still = np.median([one.usual for one in flat]) if flat else np.inf
+        if still <= _ROUGH * least:
             break
     else:
         return INDEPENDENT, 1.0
-    own, near = learned.near[0], learned.near[1:] / learned.near[0]
+    steep = [one.usual for one in windows if one.slope.min() >= _STEEP]
+    first, _ = _fitted(flat, None)
+    found, chi2 = _fitted(windows, None)
+    by_blocks = by_mosaic = 0.0
+    if mosaic or (steep and np.median(steep) > _SHOWN * still):
+        near = tuple(np.round(first[1 : 1 + _LAGS] / max(first[0], 1e-9), 3))
+        placed, best = _fitted(windows, near, compressed=not mosaic)
+        if mosaic or chi2 - best > _GAIN * max(best / sum(len(one.products) for one in windows), 1.0):
+            found, (by_blocks, by_mosaic) = placed, placed[-2:]
+    own = found[0]
+    if own <= 0:
+        return INDEPENDENT, 1.0
+    near = found[1 : 1 + _LAGS] / own
+    count = sum(len(one.slope) for one in windows)
     noticed = near > _NOTICED
-    noticed[0] &= near[0] > _LUCK / np.sqrt(windows.u.shape[1] * learned.windows)
+    noticed[0] &= near[0] > _LUCK / np.sqrt(windows[0].width * count)
     near = near[: np.argmin(np.append(noticed, False))]
-    share, place = own * near, None
-    if len(near) or mosaic:
-        place = _place_in_pixel(widths, upright, share)
-    if place is None:
-        return (Correlation(tuple(near.tolist())), float(own)) if len(near) else (INDEPENDENT, 1.0)
-    variance, way_px = place
-    whole = own + variance
-    return Correlation(tuple((share / whole).tolist()), float(variance / whole), way_px), float(whole)
+    if not len(near) and by_blocks + by_mosaic == 0:
+        return INDEPENDENT, 1.0
+    correlation = Correlation(tuple(near.tolist()), float(by_blocks / (own + by_blocks)), float(np.sqrt(by_mosaic)))
+    return correlation, float(own + by_blocks)
 
 
-def _place_in_pixel(widths: Sequence[_Windows], upright: np.ndarray, near: np.ndarray) -> tuple[float, float] | None:
-    """Variance of the error by the place in the pixel, over the promised one, and the way over which it stays alike
-    [px]; None where steep stripes do not show it.
+def _fitted(
+    windows: Sequence[_Windows], near: tuple[float, ...] | None, *, compressed: bool = True
+) -> tuple[np.ndarray, float]:
+    """Covariances by which the products of windows are explained, and chi-squared: of rows 0, 1, ... apart; of the
+    relief of each kind of windows; of errors in the blocks of a compression, all over the promised variance; and by the
+    place in a mosaic [px^2].
 
     Args:
-        widths: Windows, the widest first; they are taken unless only narrower ones are as a cubic is.
-        upright: Those of upright stripes, of any width.
-        near: Covariance of other errors with the next rows.
+        near: Correlation of next rows, by which demosaicing makes the error of steep stripes less; None: without
+            errors by the place in the pixel.
+        compressed: Whether frames may have been.
     """
-    slopes = [windows.slope[windows.slope >= _STEEP] for windows in widths]
-    each = [_covariance(windows.u[windows.slope >= _STEEP]) for windows in widths]
-    wide, narrow = each
-    at = 0 if wide is not None and narrow is not None and wide.usual < _CURVED * narrow.usual else 1
-    shown, still = each[at], _covariance(upright)
-    if shown is None or still is None or shown.near[0] < (1.0 + _PIXEL) * still.near[0]:
-        return None
-    variance, lag = shown.near[0] - still.near[0], np.arange(1, len(shown.near))
-    other = np.append(near, np.zeros(len(lag)))[: len(lag)]
-    moved = slopes[at][:, None] * lag
-    misfit = [np.sum((shown.near[1:] - other - variance * alike_in_pixel(moved, way).mean(0)) ** 2) for way in _WAYS_PX]
-    return _OF_UPRIGHT * float(variance), _WAYS_PX[int(np.argmin(misfit))]
+    designs = []
+    for k, one in enumerate(windows):
+        lag, slope = np.arange(one.width), one.slope[:, None]
+        relief = np.zeros((len(windows), len(_RELIEF), one.width))
+        relief[k] = np.exp(-0.5 * (lag / (_RELIEF[:, None] * one.width)) ** 2)
+        kinds = [np.eye(one.width)[: _LAGS + 1], *relief]
+        if near is not None:
+            by_mosaic = one.information * alike_on_mosaic(lag, slope, near)
+            kinds.append(np.stack([compressed * alike_in_blocks(lag * slope).mean(0), by_mosaic.mean(0)]))
+        designs.append((_products(np.concatenate(kinds)) / one.deviation).T)
+    values = [one.products / one.deviation for one in windows]
+    return _least_squares(np.concatenate(designs), np.concatenate(values))
 
 
-class _Covariance(NamedTuple):
-    near: np.ndarray
-    """Of rows 0, 1, ... apart, over the promised variance [1]."""
-    usual: float
-    """Variance about a cubic, as the median window has it."""
-    windows: int
-    """That were looked at."""
-
-
-def _covariance(windows: np.ndarray) -> _Covariance | None:
-    """The covariance of errors in windows: what is left about a cubic is that of errors, of which the cubic takes a
-    part, and that of a relief."""
-    width = windows.shape[1]
-    left, known = _cubic(width)
-    residuals = windows @ left
-    if len(residuals) < _WINDOWS:
-        return None
-    squares = np.sum(residuals**2, 1) / (width - 4.0)
-    usual = float(np.median(squares))
-    residuals = residuals[squares < _CALM_WINDOWS * usual]
-    if len(residuals) < _WINDOWS:
-        return None
-    lags = range(_PRODUCTS[width] + 1)
-    products = np.stack([np.sum(residuals[:, : width - k] * residuals[:, k:], 1) for k in lags], 1)
-    weight = 1.0 / np.maximum(products.std(0), 1e-12)
-    found = _least_squares(known * weight[:, None], products.mean(0) * weight)
-    return _Covariance(found[: _LAGS[width] + 1], usual, len(residuals))
-
-
-def _least_squares(design: np.ndarray, values: np.ndarray) -> np.ndarray:
-    """Coefficients of which none is negative: one after the other the most negative one is left out."""
+def _least_squares(design: np.ndarray, values: np.ndarray) -> tuple[np.ndarray, float]:
+    """Coefficients of which none is negative, one after the other the most negative one being left out; and their
+    chi-squared."""
+    size = np.maximum(np.linalg.norm(design, axis=0), 1e-12)
+    design = design / size
     found, used = np.zeros(design.shape[1]), np.ones(design.shape[1], bool)
     while used.any():
         part = np.linalg.lstsq(design[:, used], values, rcond=None)[0]
@@ -255,19 +267,27 @@ def _least_squares(design: np.ndarray, values: np.ndarray) -> np.ndarray:
             found[used] = part
             break
         used[np.flatnonzero(used)[np.argmin(part)]] = False
-    return found
+    return found / size, float(np.sum((values - design @ found) ** 2))
 
 
 @functools.cache
-def _cubic(width: int) -> tuple[np.ndarray, np.ndarray]:
-    """The projection onto what a cubic leaves; and the products there of rows that are alike only so far apart, or by
-    a relief."""
+def _left(width: int) -> np.ndarray:
+    """The projection onto what a cubic leaves."""
     basis, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), 4))
-    left, apart = np.eye(width) - basis @ basis.T, np.abs(np.subtract.outer(np.arange(width), np.arange(width)))
-    kinds = [(apart == k).astype(float) for k in range(_LAGS[width] + 1)]
-    kinds += [np.exp(-0.5 * (apart / length) ** 2) for length in _RELIEF[width]]
-    lags = range(_PRODUCTS[width] + 1)
-    return left, np.array([[np.trace(left @ kind @ left, k) for kind in kinds] for k in lags])
+    return np.eye(width) - basis @ basis.T
+
+
+@functools.cache
+def _seen(width: int) -> np.ndarray:
+    """Mean products about a cubic of rows so far apart, where errors are alike just so far apart."""
+    left, apart = _left(width), np.abs(np.subtract.outer(np.arange(width), np.arange(width)))
+    about = [left @ (apart == k) @ left for k in range(width)]
+    return np.array([[np.trace(one, k) for k in range(width // 2 - 1)] for one in about])
+
+
+def _products(covariances: Float[np.ndarray, "kinds rows"]) -> Float[np.ndarray, "kinds distances"]:
+    """Mean products about a cubic of rows so far apart, where errors have such covariances of the next rows."""
+    return covariances @ _seen(covariances.shape[1])
 
 
 def _by_amplitude(scattered: np.ndarray, level: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

@@ -20,8 +20,9 @@ _LEAST_STRIPES = 100
 """With fewer no width is learned."""
 _LEAST_SPREAD = 0.1
 """Smallest standard deviation of the prior of the width [1]."""
-_WORST = 0.3
-"""Standard deviation of a logarithm of the width up to which a stripe tells something [1]."""
+_WORST = (0.3, 0.5)
+"""Standard deviation of a logarithm of the width up to which a stripe tells something [1]; the second where speckle
+leaves too few of the first."""
 
 
 class ExtractionSetup(NamedTuple):
@@ -202,6 +203,9 @@ def learn_search(search: Search, stripes: FrameStripes, setup: ExtractionSetup) 
     if setup.settings.speckle is None and not search.speckle:
         contrast, reason, rows = learn_speckle(rows, float(search.electrons_per_dn), setup.sites.pitch)
         search = search._replace(speckle=np.asarray(contrast, np.float32), speckle_reason=np.asarray(reason, np.int32))
+        if contrast > 0.0:
+            # A profile with speckle is no Gaussian, and its start is worse.
+            search = search._replace(limits=search.limits._replace(iterations=search.limits.clipped_iterations))
     if setup.settings.learn_width:
         log_width, information = learn_widths(rows.width, rows.sigma, rows.valid)
         search = search._replace(
@@ -254,8 +258,11 @@ def learn_widths(
     """
     safe = np.where(valid, width, 1.0)
     noise = (sigma / safe) ** 2
-    used = valid & (noise < _WORST**2)
-    if np.count_nonzero(used) < _LEAST_STRIPES:
+    for worst in _WORST:
+        used = valid & (noise < worst**2)
+        if np.count_nonzero(used) >= _LEAST_STRIPES:
+            break
+    else:
         return 0.0, 0.0
     # Integration over a pixel widens the stripe that the fit sees.
     logarithm = 0.5 * np.log(safe[used] ** 2 + 1 / 12)

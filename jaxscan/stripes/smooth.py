@@ -70,6 +70,8 @@ differ from that of the smaller window. The first of each is for the smallest wi
 scatter further; and the row itself is not better than that window unless a jump is plain."""
 _LEAST_PX = 1e-4
 """Smallest standard deviation of a centre that is believed."""
+_MOST = 0.99
+"""Largest part of a row's variance that a mosaic makes, as far as it is believed."""
 _SINGULAR = 1e-5
 """Determinant of normal equations, in the product of their diagonal, below which they determine nothing."""
 _PROFILES, _FEW = 32, 8
@@ -150,6 +152,12 @@ class _Rows(NamedTuple):
     """Which of `SLOPES` the stripe has, of ten lines."""
     thin: Float[Array, "profiles rows"]
     """Distance of the rows around [lines]."""
+    mosaic: Float[Array, "profiles rows"]
+    """Part of the row's variance that a mosaic makes."""
+
+    def looked_up(self, tables: Tables, table: Array, place: Array | int) -> Array:
+        """Entries of a table."""
+        return _looked_up(tables, table, place, self.steep, self.thin, self.mosaic)
 
 
 class _Sums(NamedTuple):
@@ -181,9 +189,10 @@ def _smooth(u: Array, sigma: Array, valid: Array, tables: Tables) -> tuple[Array
     number, x, y, own = keep(_packed, u, sigma, valid)
     gap, near = padded(_gaps, x, own), keep(_near, x)
     steep, thin = keep(_steepness, x, y, own)
-    ground, slope = pair(functools.partial(_grounds, tables), x, y, own, gap, steep)
+    mosaic = keep(lambda own: jnp.minimum(tables.mosaic * _shifted(own), _MOST), own)
+    ground, slope = pair(functools.partial(_grounds, tables), x, y, own, gap, steep, mosaic)
     weight = padded(lambda own, y: jnp.where(_shifted(y) == ground, _shifted(own), 0.0), own, y)
-    rows = _Rows(x, y, own, weight, ground, slope, steep, thin)
+    rows = _Rows(x, y, own, weight, ground, slope, steep, thin, mosaic)
 
     def look_for_edges(doubt, size):
         ends = padded(_ends, gap, near, doubt)
@@ -209,7 +218,7 @@ def _smooth(u: Array, sigma: Array, valid: Array, tables: Tables) -> tuple[Array
     found = keep(_mixed, rows, found, shared, most)
     back = jnp.minimum(number, valid.shape[1] - 1)
     on_lines = lambda field: jnp.where(valid, jnp.take_along_axis(field, back, 1), 0.0)
-    alike = keep(lambda rows: _of_rows(tables, rows.steep, rows.thin)[2], rows)
+    alike = keep(lambda rows: rows.looked_up(tables, tables.rows, 0)[..., 2], rows)
     return on_lines(found[0]), on_lines(found[1]), on_lines(found[2]), on_lines(alike)
 
 
@@ -249,20 +258,22 @@ def _steepness(x: Array, y: Array, own: Array) -> tuple[Array, Array]:
     return functools.reduce(operator.add, steps), thin
 
 
-def _looked_up(tables: Tables, table: Array, index: Array, thin: Array) -> Array:
+def _looked_up(tables: Tables, table: Array, place: Array | int, steep: Array, thin: Array, mosaic: Array) -> Array:
     """Entries of a table; of rows further apart they are nearer to 1."""
-    entries = lambda: 1.0 + (jnp.take(table, index, axis=0) - 1.0) / thin.reshape(*thin.shape, *(1,) * (table.ndim - 1))
-    one = lambda: jnp.ones((*index.shape, *table.shape[1:]), jnp.float32)
+    size = len(table) // (2 * len(SLOPES))
+    wide = lambda field: field.reshape(*field.shape, *(1,) * (table.ndim - 1))
+
+    def entries() -> Array:
+        light, other = (jnp.take(table, (kind + steep) * size + place, axis=0) for kind in (0, len(SLOPES)))
+        return 1.0 + (light + wide(mosaic) * (other - light) - 1.0) / wide(thin)
+
+    one = lambda: jnp.ones((*steep.shape, *table.shape[1:]), jnp.float32)
     return lax.cond(tables.correlated, entries, one)
 
 
-def _of_rows(tables: Tables, steep: Array, thin: Array) -> tuple[Array, Array, Array]:
-    """Those of `Tables.rows`."""
-    found = _looked_up(tables, tables.rows, steep, thin)
-    return found[..., 0], found[..., 1], found[..., 2]
-
-
-def _grounds(tables: Tables, x: Array, y: Array, own: Array, gap: Array, steep: Array) -> tuple[Array, Array]:
+def _grounds(
+    tables: Tables, x: Array, y: Array, own: Array, gap: Array, steep: Array, mosaic: Array
+) -> tuple[Array, Array]:
     """The centre and the slope from which each row counts those of its neighbours [px, px/line].
 
     The centre is the row's own, but of a stray one, that lies off the straight line on which two neighbours on either
@@ -277,7 +288,7 @@ def _grounds(tables: Tables, x: Array, y: Array, own: Array, gap: Array, steep: 
     value, variance = r0 / p0 - l10 * slope, 1.0 / p0 + l10 * l10 / p1
     # Four of them, none beyond the ends, and near.
     agree = line.known & (sums.rows == 4.0) & (near[3][1] - near[0][1] <= 4.0 + _GAP)
-    expected, likely, _ = _of_rows(tables, steep, jnp.ones_like(value))
+    expected, likely, _ = jnp.moveaxis(_looked_up(tables, tables.rows, 0, steep, jnp.ones_like(value), mosaic), -1, 0)
     agree &= sums.q - line.explained < _AGREE * expected
     alone = 1.0 / jnp.where(_shifted(own) > 0, _shifted(own), 1.0)
     stray = agree & (value * value > _STRAY**2 * likely * (variance + alone))
@@ -365,8 +376,8 @@ def _edge_heights(tables: Tables, rows: _Rows, ends: Array, size: Array) -> Arra
     free = _shifted(ends) >> 16 == 0
     better = one.explained + other.explained - curved.explained
     side = SIZES[-1] + 1
-    places = (rows.steep * side + jnp.minimum(left, size - 1) + 1) * side + jnp.minimum(right, size - 1) + 1
-    better = better / _looked_up(tables, tables.edges, places, rows.thin)
+    places = (jnp.minimum(left, size - 1) + 1) * side + jnp.minimum(right, size - 1) + 1
+    better = better / rows.looked_up(tables, tables.edges, places)
     return jnp.where(one.known & other.known & curved.known & free, better, 0.0)
 
 
@@ -402,19 +413,17 @@ def _windows(tables: Tables, rows: _Rows, ends: Array) -> tuple[Array, ...]:
         on either side in one word, and the variance that the centre had were rows independent.
     """
     left, right = _sides(ends)
-    weight, many = _shifted(rows.weight), _of_rows(tables, rows.steep, rows.thin)[2]
+    weight, many = _shifted(rows.weight), rows.looked_up(tables, tables.rows, 0)[..., 2]
     alone = 1.0 / jnp.where(weight > 0, weight, 1.0)
     state: tuple[Array, ...] = jnp.zeros_like(alone), alone, many * alone, jnp.zeros_like(ends), alone
     goes_on = jnp.ones(alone.shape, jnp.bool_)
-    place = (rows.steep * (REACH + 1) + left) * (REACH + 1) + right
+    place = left * (REACH + 1) + right
     for number, size in enumerate(SIZES):
         low, high = window_of(left, right, size)
         sums = _added(_neighbours(rows, low, high, (2 * size, 2 * size)))
         found, own, chi2 = _parabola(sums)
         value, variance, _, window, before = state
-        inflation, share, scatter, apart = jnp.moveaxis(
-            _looked_up(tables, tables.windows[number], place, rows.thin), -1, 0
-        )
+        inflation, share, scatter, apart = jnp.moveaxis(rows.looked_up(tables, tables.windows[number], place), -1, 0)
         told = (sums.rows >= 5.0) & (own >= 0)
         free = jnp.where(told, sums.rows - 3.0, 2.0)
         freedom, single = share * free, window == 0

@@ -131,7 +131,7 @@ class StripeSettings:
     iterations: int = 4
     """Steps of the fit; the error that is left is a fiftieth of the noise."""
     clipped_iterations: int = 8
-    """Steps of the fit where pixels are saturated, of which the start is worse."""
+    """Steps of the fit where pixels are saturated or speckle was learned, of which the start is worse."""
 
     @property
     def least_snr(self) -> float:

@@ -43,7 +43,7 @@ def texture_any_mesh(mesh: Mesh, colour: Colour, pixels_per_radian: float) -> Me
 def _scales(
     mesh: Mesh, of: Int[np.ndarray, " n"], vertex: Int[np.ndarray, " n"], pixels_per_radian: float
 ) -> Float[np.ndarray, " charts"]:
-    """Texels on a metre of each chart."""
+    """Texels per metre of each chart."""
     away = np.linalg.norm(mesh.vertices[vertex], axis=1)
     middle = np.bincount(of, away) / np.bincount(of)
     return pixels_per_radian / np.maximum(middle, 0.1)
@@ -89,17 +89,17 @@ def _picture(
         picture[texels.at] = np.where(seen[:, None], rgb, texels.rgb)
         drawn[texels.at] = True
 
-    # So that a face has a texel that is too small to cover the middle of one.
+    # So that a face that covers no texel's middle still has a texel.
     column, row = np.floor(place).astype(np.int64).T
     draw(Texels((row, column), mesh.vertices.astype(np.float32), mesh.normals, mesh.rgb))
     corners = place[mesh.faces]
     first = np.ceil(corners.min(1) - 0.5).astype(np.int64)
     boxes = np.maximum(np.floor(corners.max(1) - 0.5).astype(np.int64) - first + 1, 0)
-    # In the order of their bearing: of each group some photographs show nothing.
+    # Sorted by bearing, so that some photographs show nothing of a group and are skipped.
     middle = mesh.vertices[mesh.faces].mean(1)
     order = np.argsort(np.arctan2(middle[:, 1], middle[:, 0]))
     size = boxes[order, 0] * boxes[order, 1]
-    # Of the box round a face, half is on the face.
+    # Half of the box round a face is on the face.
     for group in _runs(size, 2 * AT_A_TIME):
         runs = [order[group[run]] for run in _runs(size[group], PART)]
         parts = map_ahead(lambda run: _texels(mesh, place, run, (first, boxes)), runs, workers(), compiled=True)
@@ -145,7 +145,8 @@ def _texels(
 ROUNDS = 8
 """Times that faces take the direction of most of their neighbours: so noise does not tear a chart to pieces."""
 LEAST_FACING = 0.35
-"""Cosine between the normal of a face and the direction of its chart: so little is a face squeezed at the most."""
+"""Least cosine between the normal of a face and the direction of its chart, which limits how much a face is
+squeezed."""
 
 
 def chart_directions(areas: Float[np.ndarray, "m 3"]) -> Float[np.ndarray, "6 3"]:
@@ -185,7 +186,7 @@ def make_charts(mesh: Mesh) -> tuple[Int[np.ndarray, " m"], Int[np.ndarray, " ch
         for one, other in (pairs.T, pairs.T[::-1]):
             np.add.at(votes, (one, label[other]), 1.0)
         votes[np.arange(len(label)), label] += 1.0
-        # Of directions with as many votes, the one that is faced most.
+        # Ties between directions go to the one that the face looks at most directly.
         label = np.argmax(np.where(facing >= LEAST_FACING, votes + facing, facing - 2), 1)
     chart = components(pairs[label[pairs[:, 0]] == label[pairs[:, 1]]], len(label))
     first = np.unique(chart, return_index=True)[1]

@@ -162,7 +162,7 @@ def join(first: Nodes, second: Nodes, settings: MeshSettings) -> Edges:
 def _departure(node: Nodes, step: Vector, ray: Vector, deep: np.ndarray, least: float) -> tuple[np.ndarray, np.ndarray]:
     """Depth beyond a node's plane, along the ray, and the plane's cosine; head-on where there is no normal."""
     facing = dot(node.normal, ray)
-    # A plane seen from the side predicts any depth: by it the last point of a limb would reach what is behind it.
+    # A plane seen at grazing incidence predicts any depth: it would join the last point of a limb to what is behind it.
     known = facing < -least
     safe = np.where(known, facing, np.float32(-1.0))
     return np.where(known, dot(step, node.normal) / safe, deep), -safe

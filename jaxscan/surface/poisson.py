@@ -15,7 +15,7 @@ from jaxscan.surface.mesh import Mesh
 
 
 FEWEST = 100
-"""Points with a normal, below which there is no surface to speak of."""
+"""Least number of points with a normal."""
 FINEST, COARSEST = 12, 6
 EMPTIEST = 0.01
 """Share of the vertices, those with the fewest points around them, that are left out: the surface is closed even

@@ -123,7 +123,7 @@ def _chart(gaps: int, cells: int, texels: tuple[int, int]) -> _Chart:
     across, along = texels
     bands = -(-gaps * across // BAND_WIDTH)
     columns = -(-gaps // bands)
-    # Of two bands each has a margin of its own.
+    # Each of two neighbouring bands has its own margin.
     stride = cells * along + (2 * _MARGIN if bands > 1 else 0)
     return _Chart(across, along, columns, (stride * (bands - 1) + cells * along, columns * across), stride)
 

@@ -51,7 +51,7 @@ class Measured(NamedTuple):
     value: float | None
     """In `unit`; None of a point."""
     sigma: float | None
-    """In `unit`; None where nobody knows it."""
+    """In `unit`; None where it is unknown."""
     words: tuple[str, ...]
     plane: PlaneMeasurement | None = None
     turned: bool = False
@@ -143,7 +143,7 @@ def _measured(
 def measure_area(shown: ShownCloud, places: list[np.ndarray]) -> Measured:
     """The area of an outline that was clicked, in the plane nearest to its corners.
 
-    Its sigma is not known: that of clicks on corners nobody knows.
+    Its sigma is unknown, since the accuracy of the clicks is.
 
     Raises:
         MeasurementError: If there are too few corners, or too many.

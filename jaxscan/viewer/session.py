@@ -29,7 +29,7 @@ from jaxscan.viewer.shown import ShownCloud
 
 
 _WIDER, _WIDEST = 4.0, 10.0
-"""How much wider a click looks where it met nothing, and where the surface between the points is shown."""
+"""Factor on the cone of a click that met nothing, and of clicks while the surface between the points is shown."""
 _WIDEST_RAD = 0.3
 _FAR_M = 1e5
 """Edge of a box of which a side leaves nothing out."""
@@ -55,7 +55,7 @@ class Entry(NamedTuple):
 Found = tuple[list[tuple[int, Measured]], str]
 """Measurements, each with the number of its cloud; and why there are none."""
 Measure = Callable[[Callable[[], bool]], Found]
-"""Measures, as long as its answer is wanted."""
+"""A measurement in progress whose answer is still wanted."""
 
 
 class Work(NamedTuple):
@@ -75,7 +75,7 @@ class Session:
         self.measured: list[Entry] = []
         self._ids, self._works = count(), count()
         self._pending: list[int] = []
-        """The measurements that go on and whose answers are wanted."""
+        """The measurements in progress whose answers are still wanted."""
         self.message = ""
         self._places: list[tuple[int, np.ndarray]] = []
         """The clouds and the places that were clicked of a measurement that needs more of them."""

@@ -93,7 +93,7 @@ class ShownCloud:
         self.hides = self.sides is not None and hides_well(self.sides)
         """Whether what is seen from behind is better left out at first."""
         self.walls = None if self.sides is None else walls_of(self.sides)
-        """By how much the walls are turned about z against the axes [rad]; None where that is not known."""
+        """Angle about z from the axes to the walls [rad]; None where it is unknown."""
 
     @property
     def points(self) -> int:
@@ -125,7 +125,7 @@ class ShownCloud:
         if by == "deviation" and plane is not None:
             return self._deviations(plane)
         if by in ("photograph", "deviation") or not self.has(by):
-            # Black on a dark ground would not be seen.
+            # Black points would be invisible on the dark background.
             return brightened(self.take(self.cloud.rgb)) if self.has("photograph") else self._grey(), None
         if by == "normals":
             return coloured_normals(self.take(self.cloud.normals)), None
@@ -153,7 +153,7 @@ class ShownCloud:
     def _deviations(self, plane: PlaneMeasurement) -> tuple[np.ndarray, Scale]:
         offset = float((plane.centre_m - self.origin) @ plane.normal)
         values = _MM * (self.xyz @ plane.normal.astype(np.float32) - np.float32(offset))
-        # Of the plane itself, not of all that stands before it.
+        # The scale is that of the plane itself, not of what stands in front of it.
         scale = Scale(-_MM * 3 * plane.range95_m, _MM * 3 * plane.range95_m, "mm", diverging=True)
         return scale.coloured(values), scale
 
@@ -173,7 +173,7 @@ class ShownCloud:
         return dataclasses.replace(self.cloud, valid=valid)
 
     def stations(self) -> np.ndarray:
-        """Where the scanner stood, [k, 3], m, in the scene's frame; none where nobody knows."""
+        """Where the scanner stood, [k, 3], m, in the scene's frame; none where that is unknown."""
         if self.cloud.stations is None:
             return np.asarray(-self.origin[None][: int(knows_its_place(self.cloud))])
         return np.asarray(np.asarray(self.cloud.stations.pose)[:, :3, 3] - self.origin)
@@ -187,7 +187,7 @@ class ShownCloud:
         return sides_of(seen, self.points, certain=says_its_place(self.cloud))
 
     def _towards(self, some: slice) -> np.ndarray | None:
-        """From some points to where their scanner stood, [n, 3], m; None where nobody knows."""
+        """Vectors from some points to their scanner, [n, 3], m; None where its place is unknown."""
         places = self.stations().astype(np.float32)
         if not len(places):
             return None

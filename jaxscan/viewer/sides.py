@@ -12,16 +12,17 @@ from jaxscan.reconstruction import PointCloud, grid_normals
 _STEPS = 127
 """A component of a normal in steps, as WebGL reads signed bytes."""
 _AGREE = 0.9
-"""Share of normals that point to where the scanner stood, from which they were made so."""
+"""If this share of the normals points to the scanner, they are taken as oriented towards it."""
 _KNOWN = 0.5
 """Share of points with a normal, below which a cloud does not know its sides."""
 _REMAINS = 0.1
-"""Share of points that is left from every side of a cloud of which the backs are hidden at first."""
+"""Backs are hidden at first only if this share of the points stays visible from every side."""
 _SOME = 100_000
 _UPRIGHT, _NEAR_DEG = 0.2, 3.0
 """Sine of the slope of a wall's normal, and how far normals of walls lie from where most do."""
 _LEAST_WALL, _STANDS_OUT = 100, 0.3
-"""Normals, and the share of them near one angle, by which walls are known; a seventh of chance directions are there."""
+"""Least number of normals, and least share of them near one angle, for walls; of random directions a seventh are
+there."""
 
 
 def sides_of(
@@ -45,7 +46,8 @@ def sides_of(
     known = np.any(normals != 0, axis=1)
     if towards is None or not known.mean() >= _KNOWN:
         return None
-    # Not turned one by one where they agree: a camera stands beside the axis, and sees a little more than it.
+    # Normals that agree are not turned one by one: the camera stands beside the axis, and sees a little more than the
+    # axis would.
     agree = np.mean(np.einsum("ni,ni->n", normals, towards)[known] > 0) >= _AGREE
     if not (agree or certain):
         return None
@@ -67,7 +69,7 @@ def hides_well(sides: Int8[np.ndarray, "n 3"]) -> bool:
 
 
 def walls_of(sides: Int8[np.ndarray, "n 3"]) -> float | None:
-    """By how much the walls of a room are turned about z against the axes [rad], within a quarter of a turn about 0.
+    """Angle about z from the axes to the walls of a room [rad], within a quarter of a turn about 0.
 
     The angle at which most horizontal normals lie, whichever of the four ways they point; None where none stands out.
     """
@@ -106,7 +108,7 @@ def gridded_normals(cloud: PointCloud, places: Float[np.ndarray, "profiles 3"]) 
     valid = np.asarray(cloud.valid)
     if min(valid.shape) < _LEAST:
         return None
-    # Places on a map have more digits than normals are counted with.
+    # Coordinates on a map have more digits than the single precision of normals.
     xyz = np.where(valid[:, :, None], np.asarray(cloud.xyz) - places[0], 0.0).astype(np.float32)
     centre = (places - places[0]).astype(np.float32)
     line_step, profile_step = (_step(xyz - centre[:, None], valid, axis) for axis in (1, 0))

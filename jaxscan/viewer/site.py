@@ -25,7 +25,7 @@ from jaxscan.web import Address, Gate, Server, page_routes
 
 
 AT_ONCE = 2
-"""Measurements of all pages together that go on at a time, those whose answers nobody wants any more among them."""
+"""Most measurements in progress, of all pages together and including cancelled ones."""
 _HEARTBEAT_S = 10.0
 _MOST_SESSIONS = 12
 _MOST_STATIONS = 50
@@ -117,7 +117,7 @@ class View:
             ShownCloud(one.name, one.cloud, middle_of(one.cloud), turned=one.turned, words=one.words) for one in clouds
         ]
         self._id = secrets.token_hex(8)
-        """By which a page knows that its server began anew, perhaps with other clouds."""
+        """Tells a page that its server was restarted, perhaps with other clouds."""
         self._panoramas, self._scanner = [one.panorama for one in clouds], scanner
         self._products, self._looking = products, asyncio.Lock()
         self._sessions: OrderedDict[str, Session] = OrderedDict()
@@ -228,7 +228,7 @@ class View:
         return web.Response(body=seen.jpeg, content_type="image/jpeg")
 
     async def scale(self, request: web.Request) -> web.Response:
-        """What colours mean; null where they are those of things."""
+        """The scale of the colours; null for the colours of things."""
         _, scale = await self._by(request)
         if scale is None:
             return _json(None)
@@ -236,7 +236,7 @@ class View:
         return _json({"words": scale.words(), "bar": bar.tolist(), "diverging": scale.diverging})
 
     async def products(self, _: web.Request) -> web.Response:
-        """The products of the project as they are now, what needs somebody first."""
+        """The products of the project as they are now; those that need attention come first."""
         if self._products is None:
             raise OptionError("there is no project.")
         async with self._looking:
@@ -346,7 +346,7 @@ async def _finish(socket: web.WebSocketResponse, session: Session, work: Work, s
         async with slots:
             answer = await asyncio.to_thread(session.finish, work)
     except BaseException:
-        # A page does not wait for what never comes.
+        # The page is told, so that it does not wait for an answer that never comes.
         await socket.close()
         raise
     if answer is not None:

@@ -164,7 +164,7 @@ def _find_charuco(image: np.ndarray, shown: np.ndarray, board: Charuco) -> Found
     refined = _refine(image, q[valid], half)
     moved = np.hypot(*(refined - q[valid]).T)
     q[valid] = refined
-    # A corner that moved this far was fitted to something else.
+    # A corner that moved farther was fitted to something else.
     valid[np.flatnonzero(valid)[moved > 0.25 * sizes[valid]]] = False
     if not is_enough(board, valid):
         return None

@@ -60,9 +60,9 @@ def find_circles(image: np.ndarray, shown: np.ndarray, board: Circles) -> FoundC
         reach = 0.5 * board.nearest()
         centre[k], sigma[k], valid[k] = _weigh(level, q[k], slope, radius, reach)
     if not valid.all():
-        # As for chessboards, the grid is seen as a whole.
+        # As with chessboards, the whole grid must be visible.
         return None
-    # Pulled off twice, because the map is first fitted to centres that still hold the difference.
+    # Subtracted twice, because the map is first fitted to centres that still contain the difference.
     true, shift = centre, np.zeros_like(centre)
     for _ in range(2):
         seen = _Map.fit(places, true)

@@ -14,12 +14,12 @@ _UNKNOWNS = 9
 _STEPS = 15
 # A fit has converged when a step moves the corner by less than this [px].
 _SETTLED = 1e-3
-# Residuals larger than this share of the contrast between ink and paper mean: no chessboard corner.
+# Residuals larger than this share of the contrast between ink and paper: the place is no chessboard corner.
 _MAX_MISFIT = 0.25
 # The same holds for residuals this many times the median of the image, and for a lower contrast.
 _ODD = 3.0
 _MIN_CONTRAST_DN = 2.0
-# Of images of more than 8 bits, whose rounding hides nothing.
+# For images of more than 8 bits, whose noise is larger than their rounding.
 _MIN_FINE_DN = 0.2
 # The edges must cross at this angle at least, and stay within this angle of their first directions [rad].
 _MIN_CROSSING = 0.25

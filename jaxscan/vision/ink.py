@@ -30,7 +30,7 @@ def board_ink(board: AbstractBoard) -> Ink:
     """The shapes of a board, within `board.outline()`.
 
     Raises:
-        ValueError: If nobody knows how such a board is printed.
+        ValueError: If no print of such a board is known.
     """
     circles = np.zeros((0, 3))
     if isinstance(board, Circles):
@@ -95,7 +95,7 @@ def _drawn(board: AbstractBoard, per_square: int) -> np.ndarray:
 
 def _shares(start: float, end: float) -> tuple[slice, np.ndarray]:
     """The elements that an interval covers, and the share of each that it does."""
-    # What is a hair's breadth beside a whole number is rounding.
+    # A distance of 1e-6 from a whole number is rounding.
     start, end = (round(at) if abs(at - round(at)) < 1e-6 else at for at in (start, end))
     first, last = int(np.floor(start)), int(np.ceil(end))
     each = np.arange(first, last)

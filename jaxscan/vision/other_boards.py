@@ -10,12 +10,12 @@ from jaxscan.geometry import AbstractBoard, AprilGrid, Charuco, Chessboard, dire
 from jaxscan.vision.frames import to_bytes
 
 
-# Each holds the smaller ones of its kind. The larger a marker's code, the less another kind is taken for it: those of
-# 4 x 4 cells, which chance shows, come last.
+# Each holds the smaller ones of its kind. The larger a marker's code, the more rarely something else is taken for it:
+# those of 4 x 4 cells, which chance shows, come last.
 _FAMILIES = ("DICT_7X7_1000", "DICT_6X6_1000", "DICT_5X5_1000", "DICT_ARUCO_ORIGINAL", "DICT_4X4_1000")
 _APRIL_TAGS = "DICT_APRILTAG_36h11"
 _FEWEST_MARKERS = 6
-"""Fewer may be chance: the smallest dictionaries have markers that many a texture shows."""
+"""Fewer may be chance: many textures resemble markers of the smallest dictionaries."""
 _MOST_COLUMNS = 40
 _FITS = 0.15
 """Error of markers on a board with the right number of columns, in squares, at most."""
@@ -60,7 +60,7 @@ def _name_marked(name: str, ids: np.ndarray, centres: np.ndarray, board: Abstrac
         when = "before OpenCV 4.6" if layout == "legacy" else "since OpenCV 4.6"
         return f'a ChArUco board in the layout {when} (layout = "{layout}", or that word behind import --board)'
     count = board.columns * board.rows // 2
-    # A board with fewer rows is a part of the expected one, and found as that.
+    # A board with fewer rows counts as a part of the expected one, and is found as that.
     return f"a larger board, with {numbers} (expected up to {count - 1})" if max(ids) >= count else None
 
 

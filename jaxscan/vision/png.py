@@ -17,7 +17,7 @@ _PALETTE = 3
 
 
 class OtherKind(ValueError):
-    """A picture that is whole, and of a kind that is not read here."""
+    """A picture that is undamaged, but of a kind that is not read."""
 
 
 def png_size(data: bytes) -> tuple[int, int]:

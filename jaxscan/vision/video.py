@@ -17,7 +17,7 @@ _EBML, _SEGMENT = b"\x1a\x45\xdf\xa3", b"\x18\x53\x80\x67"
 """How a Matroska file, and all of it behind its header, begin."""
 _OPEN_RIFF = 0xFFFF_FFFF
 _MOST_PARTS = 100_000
-"""Parts of a file that are looked at; a video of a day has fewer."""
+"""Most parts of a file that are examined; a video of a whole day has fewer."""
 
 
 class Video:
@@ -87,7 +87,7 @@ class Video:
 
 
 def is_cut_short(file: BinaryIO) -> bool:
-    """Whether a video ends before its own outermost sizes say; decoders give what is left without a word.
+    """Whether a video is shorter than its outermost sizes say; decoders return the rest without an error.
 
     Args:
         file: An open AVI, MP4, MOV, MKV or WebM. A size that was left open, as by a streaming recorder,
@@ -127,7 +127,7 @@ def _box_is_short(file: BinaryIO, end: int) -> bool:
         size, least = int.from_bytes(head[:4], "big"), 8
         if size == 1:
             size, least = int.from_bytes(head[8:], "big"), 16
-        # A last box may be open; what is no name of a box is behind the last one.
+        # The last box may have no size; bytes that are no box name follow the last box.
         if len(head) < 8 or size < least or not head[4:8].isalnum():
             return False
         at += size

@@ -27,7 +27,7 @@ _CLEARLY = 0.05
 """How much less another step must need, bits of a pixel."""
 _LEVEL = 1
 _BLOCK = 32
-"""Lines of rows whose differences are undone together; about the root of their number costs least."""
+"""Lines whose differences are undone together; about the square root of their number costs least."""
 _LOCAL = threading.local()
 
 
@@ -83,7 +83,7 @@ def decode_zstd(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
         _LOCAL.unpacker = zstandard.ZstdDecompressor()
     try:
         found = zstandard.get_frame_parameters(packed)
-        # Without its checksum, or with another length, it is not as it was written.
+        # Without its checksum, or with another length, the file was changed.
         if found.content_size != rows * columns * channels or not found.has_checksum or found.dict_id:
             raise ValueError("its data have another length than its rows")
         if out is None or out.shape != shape or not out.flags.c_contiguous:

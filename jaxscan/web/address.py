@@ -12,7 +12,8 @@ LOOPBACK = "127.0.0.1"
 _LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _ANYWHERE = {"0.0.0.0", "::"}
 _AFAR = ("192.0.2.1", "10.0.0.1", "192.168.0.1", "172.16.0.1")
-"""Numbers for examples, which the way out leads to, and of private networks, where there is no way out."""
+"""Addresses outside, to find the interface of the default route; and private ones, for networks without such a
+route."""
 _WAITING = 512
 
 

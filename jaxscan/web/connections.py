@@ -37,7 +37,7 @@ def _file_limit() -> int | None:
 
 
 class Connection(asyncio.Protocol):
-    """Hands one connection on to the protocol that speaks HTTP, and knows what it waits for."""
+    """Passes one connection's data to the HTTP protocol, and knows what the connection waits for."""
 
     def __init__(self, inner: asyncio.Protocol, all_of_them: "Connections", address: str) -> None:
         self._inner, self._all, self.address = inner, all_of_them, address
@@ -113,7 +113,7 @@ class Connections:
     """All connections of a server; in its thread alone."""
 
     def __init__(self, now: Callable[[], float] = time.monotonic) -> None:
-        """Nobody is there. The limits are far below that of open files."""
+        """Start without connections. The limits are far below that of open files."""
         limit = _file_limit()
         most = STRANGERS + GUESTS if limit is None else min(STRANGERS + GUESTS, max(limit // _OF_ALL_FILES, 8))
         self.most_strangers = max(4, STRANGERS * most // (STRANGERS + GUESTS))

@@ -102,7 +102,7 @@ class _Door:
         self._loop = asyncio.get_running_loop()
         self._coming: set[asyncio.Task[object]] = set()
         self._spare: socket.socket | None = socket.socket()
-        """Given up where no other descriptor is left, to turn somebody away."""
+        """A spare descriptor, closed when no other is left, to accept and refuse a connection."""
         self._again: asyncio.TimerHandle | None = None
         listening.setblocking(False)
 
@@ -149,7 +149,7 @@ class _Door:
             accepted.close()
 
     def _turn_away(self) -> None:
-        """Close one that waits, so that it does not stand at the door for ever."""
+        """Accept and close one waiting connection, so that it does not wait for ever."""
         self._give_up_spare()
         with suppress(OSError):
             accepted, _ = self._listening.accept()

@@ -32,6 +32,8 @@ class Rig:
     warp: tuple[float, float] = (0.0, 0.0)
     bend: Callable[[np.ndarray, np.ndarray], np.ndarray] | None = None
     """Height [m] beside the bow at coordinates that are +-1 at the outer corners."""
+    paper: Callable[[int], Callable[[np.ndarray, np.ndarray], np.ndarray]] | None = None
+    """The bend of each placement of a board that is no plate."""
     print_error: Callable[[np.ndarray], np.ndarray] | None = None
     """Shifts [n, 2] of the printed corners [n, 2], m."""
     carries: str = "scanner"
@@ -213,13 +215,15 @@ def hold_around(rig, random, middle, tilt_deg):
 def observe(rig, *, free=10, placements=2, angles=5, span_deg=20.0, points=60, seed=0, stripes=True, tilt_deg=35.0):
     """Perfect observations: free board views at angle 0, then placements seen from several angles."""
     random = np.random.default_rng(seed)
-    corners = rig.board.corners()
-    corners = corners + np.column_stack([np.zeros((len(corners), 2)), board_height(rig, corners[:, 0], corners[:, 1])])
-    if rig.print_error is not None:
-        corners[:, :2] += rig.print_error(corners[:, :2])
-    middle = corners.mean(0)
     views, number = [], 0
     while number < free + placements:
+        own, corners = rig, rig.board.corners()
+        if rig.paper is not None:
+            own = replace(rig, bend=rig.paper(number))
+        corners[:, 2] += board_height(own, corners[:, 0], corners[:, 1])
+        if rig.print_error is not None:
+            corners[:, :2] += rig.print_error(corners[:, :2])
+        middle = corners.mean(0)
         turning = number >= free
         # A linear stage goes 0.16 m.
         half = 0.08 if rig.carries == "linear" else np.radians(span_deg / 2)
@@ -234,12 +238,12 @@ def observe(rig, *, free=10, placements=2, angles=5, span_deg=20.0, points=60, s
         if all((p > 5).all() and (p < np.array(rig.size) - 6).all() for p in q) and all(
             in_reach(rig, corners @ r.T + t) for r, t in poses
         ):
-            views += [(p, phi, number, *pose) for p, phi, pose in zip(q, stops, poses, strict=True)]
+            views += [(p, phi, number, own, *pose) for p, phi, pose in zip(q, stops, poses, strict=True)]
             number += 1
     rows = []
-    for index, (_, _, _, r, t) in enumerate(views):
+    for index, (_, _, _, own, r, t) in enumerate(views):
         for laser in range(len(rig.normals)) if stripes else ():
-            p = stripe_on_board(rig, r, t, laser, points)
+            p = stripe_on_board(own, r, t, laser, points)
             p = p[p[:, 2] > 0.2] if not rig.wide() else p
             s = project(rig, p) if len(p) else np.zeros((0, 2))
             s = s[((s > 0) & (s < np.array(rig.size) - 1)).all(-1)] if len(s) else s

@@ -10,7 +10,6 @@ from urllib.parse import urlsplit
 
 import aiohttp
 import pytest
-from bench.flood import Flood
 
 from jaxscan.files.capture import open_capture, verify_capture
 from jaxscan.web import open_address
@@ -18,6 +17,7 @@ from jaxscan.web import open_address
 from ..hardware.driving import falls, milliseconds
 from ..web.asking import ask, let_in, page_of, served
 from .conftest import Page, console_process
+from .flood import Flood
 from .test_bench import ALLOWED_MS, ROOT
 from .test_bench import bench as bench
 
@@ -97,7 +97,7 @@ def test_five_thousand_half_open_connections_do_not_disturb_a_scan(bench, consol
             await page.until(lambda page: True)
             await scan(page, "still")
             lines = len(said.read_text().splitlines())
-            # The flood begins in mid-scan; of a camera that is opened within one see experiments/results/kills.md.
+            # The flood begins in mid-scan: a camera that is opened within one may have to be opened twice.
             await page.order("sweep", name="flooded", resume=False)
             await page.until(lambda page: taken(page, "flooded") >= 1)
             with Flood(port, held=HELD, per_s=600.0) as flood:

@@ -14,6 +14,7 @@ from ..browser.driver import NARROW, Looks
 
 ESCAPE, LEFT = "\ue00c", "\ue012"
 """Keys, as WebDriver names them."""
+TILT = {"tilt_deg": 0, "towards_deg": 0}
 CAPTURE = {
     "name": "room",
     "kind": "sweep",
@@ -58,6 +59,13 @@ def test_a_scan_by_clicks(visit, console):
         looks.driver.execute_script("[...document.querySelectorAll('#captures button')][0].click()")
         looks.until(lambda: looks.driver.execute_script("return document.getElementById('record').naturalWidth > 0"))
         assert looks.text("record-name") == "kitchen, 1 of 10"
+        assert looks.driver.execute_script("return document.getElementById('progress').position") == 1
+        slide(looks, "records", 3)
+        assert looks.text("record-name") == "kitchen, 4 of 10"
+        shown = lambda: looks.at("record").get_attribute("src").partition("/pictures/")[2]
+        assert shown() == "kitchen/3?lit=1"
+        looks.click("lit")
+        assert shown() == "kitchen/3"
         looks.click("close")
         looks.until(lambda: not looks.at("opened").is_displayed())
         # A taken name is not offered again; nor is anything to be resumed.
@@ -141,6 +149,54 @@ def test_the_board_and_its_button_are_seen_together_on_a_telephone(visit, consol
     visit(work)
 
 
+def slide(looks, name, value):
+    """Moves a slider, or types into a field, and lets it go."""
+    script = """const one = document.getElementById(arguments[0]);
+        one.value = arguments[1];
+        for (const kind of ["input", "change"]) one.dispatchEvent(new Event(kind));"""
+    looks.driver.execute_script(script, name, value)
+
+
+def test_the_answers_of_a_person_and_what_a_lost_page_does(visit, console):
+    answers = []
+    console.desk.answer = answers.append
+
+    def work(looks, url):
+        looks.open(url)
+        looks.until(lambda: looks.text("doing") == "ready")
+        looks.click("lost-stops")
+        looks.until(lambda: console.slate.read("lost") == "stop")
+        looks.click("lost-stops")
+        looks.until(lambda: console.slate.read("lost") == "go on")
+        console.slate.write(doing="placing", placing={"kind": "free", "number": 0, "total": 3, "at_deg": None})
+        pose = {
+            "covered": [[False]],
+            "corners": [[0]],
+            "depth_m": None,
+            "found": [],
+            "problem": "no board",
+            "pose": None,
+        }
+        console.slate.write(guide=pose | {"advice": [], "min_tilt_deg": 20, "next": {"at": [0.5, 0.5]} | TILT})
+        for name in ("take", "enough", "enough-of-all"):
+            looks.until(lambda name=name: looks.at(name).is_displayed())
+            looks.click(name)
+        looks.driver.execute_script("document.activeElement.blur()")
+        looks.driver.find_element("tag name", "body").send_keys(" ")
+        looks.until(lambda: len(answers) == 4)
+        console.slate.write(doing="nothing", placing=None, has_board=True)
+        looks.until(lambda: looks.at("boards").is_enabled())
+        looks.at("boards-name").clear()
+        looks.at("boards-name").send_keys("hall\ue007")
+        # The name has arrived; this rig has no board all the same.
+        looks.until(
+            lambda: "has no [board] table" in looks.text("lines") and "board hall begins" in looks.text("lines")
+        )
+
+    visit(work)
+    assert answers == ["take", "enough", "enough of all", "take"]
+
+
 def green(looks):
     """The buttons that are the next step."""
     script = """return Array.from(document.querySelectorAll("button.go"), (one) => one.textContent)"""
@@ -176,6 +232,10 @@ def test_one_green_button_is_the_next_step_and_the_rig_is_set_by_hand(visit, con
         looks.until(lambda: "of 255" in looks.text("peak-dn") and looks.colours("histogram") > 1)
         press(looks, "+10°", "jog")
         looks.until(lambda: looks.text("angle") == "table at 10.00°")
+        press(looks, "−1°", "jog")
+        looks.until(lambda: looks.text("angle") == "table at 9.00°")
+        press(looks, "home", "jog")
+        looks.until(lambda: looks.text("angle") == "table at 0.00°")
         looks.click("light")
         looks.until(lambda: looks.text("peak-dn") == "–")
         assert not paper.table.contactor
@@ -184,6 +244,12 @@ def test_one_green_button_is_the_next_step_and_the_rig_is_set_by_hand(visit, con
         looks.at("exposure-ms").clear()
         looks.at("exposure-ms").send_keys("20\ue007")
         looks.until(lambda: "camera.exposure_ms = 20" in looks.text("exposure"))
+        # A field is not written anew under a person's hands.
+        looks.driver.execute_script("document.activeElement.blur()")
+        slide(looks, "exposure-log", 0.5)
+        looks.until(lambda: "camera.exposure_ms = 3.2 into" in looks.text("exposure"))
+        slide(looks, "gain-db", 6)
+        looks.until(lambda: "camera.exposure_ms = 3.2 and camera.gain_db = 6 into" in looks.text("exposure"))
         looks.click("auto")
         looks.until(lambda: "Auto: " in looks.text("lines"))
         looks.click("stop")
@@ -236,6 +302,57 @@ def test_a_cloud_of_another_calibration_is_to_be_made_again(visit, console):
         console.slate.write(calibration_digest="sha256:a")
         looks.until(lambda: green(looks) == ["Look around"])
         assert "another calibration" not in looks.text("captures")
+
+    visit(work)
+
+
+def test_a_second_calibration_that_is_worse_is_said_and_the_better_one_is_offered(visit, console):
+    def work(looks, url):
+        looks.open(url)
+        looks.until(lambda: looks.text("doing") == "ready")
+        known = [
+            {
+                "file": file,
+                "beside": False,
+                "good": True,
+                "headline": f"Good to {mm} mm",
+                "sigma_mm": mm,
+                "digest": digest,
+            }
+            | {"changed": time.time() - age}
+            for file, mm, digest, age in (("boards-2.json", 1.9, "sha256:b", 0), ("room.json", 0.24, "sha256:a", 7300))
+        ]
+        made = CAPTURE | {"cloud": True, "made": [], "made_with": "sha256:a"}
+        used = {"calibration": "captures/boards-2.json", "calibration_digest": "sha256:b"}
+        console.slate.write(captures=[made], calibrations=known, **used)
+        looks.until(lambda: "room.json, with which room was made, is good to 0.24 mm" in looks.text("next"))
+        assert looks.text("next").startswith("boards-2.json is used now: 1.9 mm.") and green(looks) == ["Scan"]
+        assert "its cloud is of room.json" in looks.text("captures")
+        listed = "return Array.from(document.querySelectorAll('#calibrations option'), (one) => one.textContent)"
+        offered = looks.driver.execute_script(listed)
+        assert offered == ["1.9 mm, boards-2.json, just now", "0.24 mm, room.json, 2 hours ago"]
+        # The better one is the newer one: the cloud is to be made again.
+        console.slate.write(calibrations=[known[0] | {"sigma_mm": 0.1}, known[1]])
+        looks.until(lambda: green(looks) == ["Reconstruct"])
+        # Chosen on the page, by a person.
+        for option in looks.at("calibrations").find_elements("tag name", "option"):
+            if "room.json" in option.text:
+                option.click()
+        looks.until(lambda: "room.json: is no calibration of this rig" in looks.text("problem"))
+
+    visit(work)
+
+
+def test_how_long_a_calculation_takes_is_said_where_it_is_waited_for(visit, console):
+    def work(looks, url):
+        looks.open(url)
+        looks.until(lambda: looks.text("doing") == "ready")
+        begun = {"what": "calibrate boards, the poses so far", "running": True, "well": None, "result": {}}
+        console.slate.write(works=[begun | {"lines": ["a note", "Calibrating: 20 %, about 50 s left"]}])
+        looks.until(lambda: looks.text("next").endswith("wait for its verdict. about 50 s left"))
+        verdict = {"kind": "plain", "headline": "Good to 2.4 mm", "explanation": ""}
+        console.slate.write(works=[], verdict={"well": True, "so_far": "boards-2", "verdict": verdict})
+        looks.until(lambda: looks.text("headline") == "boards-2 so far: Good to 2.4 mm")
 
     visit(work)
 
@@ -298,12 +415,31 @@ def test_two_windows(visit):
     visit(work)
 
 
-def test_on_a_telephone_nothing_is_cut_off_and_stop_is_at_hand(visit):
+def test_on_a_telephone_nothing_is_cut_off_and_stop_is_at_hand(visit, console):
     def work(looks, url):
         looks.open(url, NARROW)
         looks.until(lambda: looks.text("doing") == "ready")
-        widths = looks.driver.execute_script("return [document.documentElement.scrollWidth, innerWidth]")
-        assert widths == [390, 390]
+        wide = (
+            "return [document.documentElement.scrollWidth, innerWidth, document.querySelector('header').clientHeight]"
+        )
+        long = "a" * 64
+        states = (
+            {},
+            {"doing": "aim", "live": {"width": 128, "height": 96, "stripe": [], "peak_dn": 255, "clipped": 0.9}},
+            {"doing": "boards", "laser": "may shine", "capture": long, "planned": 50, "done": 9, "left_s": 99},
+            {"doing": "sweep", "silence": "The rig has not answered for 7 s.", "estop": True},
+            {"doing": "nothing", "laser": "off", "silence": "", "estop": False, "captures": [CAPTURE | {"name": long}]},
+            {"works": [{"what": f"mesh {long}", "running": True, "well": None, "lines": [long * 3], "result": {}}]},
+            {"ended": f"{long}/{long}: complete.", "problem": f"{long}{long}", "calibration": f"{long}.json"},
+            {"calibrations": [{"file": f"{long}.json", "good": True, "headline": long, "sigma_mm": 1, "changed": 0}]},
+        )
+        for state in states:
+            console.slate.write(**state)
+            time.sleep(0.3)
+            *widths, head = looks.driver.execute_script(wide)
+            assert widths == [390, 390], state
+            # Stop is in one line with what the rig does, but for long news of it.
+            assert head < 70 or "silence" in state, state
         looks.driver.execute_script("scrollTo(0, document.body.scrollHeight)")
         box = looks.driver.execute_script(
             "const b = document.getElementById('stop').getBoundingClientRect(); return [b.top, b.bottom, b.height]"
@@ -331,11 +467,32 @@ def test_points_are_drawn_as_they_come(visit, console):
             console.slate.grow(xyz.astype(np.float32), rgb.astype(np.uint8))
         looks.until(lambda: looks.text("points") == "2,000 points shown")
         looks.until(lambda: looks.colours("cloud") > 100)
+        # All of a room without strays is in the picture, and fills it.
+        console.slate.clear_cloud(2000)
+        xyz = np.stack(np.meshgrid([-2.6, 2.6], [-2.2, 2.2], [-1.2, 1.4]), -1).reshape(-1, 3).repeat(125, 0)
+        console.slate.grow(xyz.astype(np.float32), np.full((1000, 3), 255, np.uint8))
+        looks.until(lambda: looks.text("points") == "1,000 points shown")
+        edges = """
+          const from = document.getElementById("cloud"), copy = document.createElement("canvas");
+          copy.width = from.width; copy.height = from.height;
+          const pen = copy.getContext("2d"), seen = [];
+          pen.drawImage(from, 0, 0);
+          pen.getImageData(0, 0, copy.width, copy.height).data.forEach((level, k) => {
+            if (k % 4 === 0 && level > 128) seen.push((k / 4) % copy.width, Math.floor(k / 4 / copy.width));
+          });
+          const of = (first, size) => {
+            const all = seen.filter((_, k) => k % 2 === first);
+            return [Math.min(...all) / size, Math.max(...all) / size];
+          };
+          return [...of(0, copy.width), ...of(1, copy.height)];"""
+        looks.until(lambda: looks.driver.execute_script(edges)[0] is not None)
+        left, right, top, bottom = looks.driver.execute_script(edges)
+        assert 0.01 < min(left, top, 1 - right, 1 - bottom) < 0.1
         looks.at("cloud").send_keys("+", LEFT)
         assert looks.complaints() == []
         # A page that comes later gets all of them.
         looks.driver.refresh()
-        looks.until(lambda: looks.text("points") == "2,000 points shown")
+        looks.until(lambda: looks.text("points") == "1,000 points shown")
 
     visit(work)
 

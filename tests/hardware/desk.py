@@ -1,5 +1,6 @@
 """A rig on paper: a controller that obeys at once, in front of a simulated camera, with faults on demand."""
 
+import functools
 import json
 from collections.abc import Callable
 from pathlib import Path
@@ -9,22 +10,12 @@ import numpy as np
 from scanrig.cameras.camera import CameraSettings, Frame
 from scanrig.cameras.simulated import FrameShape, SyntheticScene, draw
 from scanrig.config import RigConfig
-from scanrig.controllers.controller import (
-    Controller,
-    Counters,
-    Firmware,
-    Guarantees,
-    LinkCounts,
-    Reconnection,
-    Settings,
-    ShotDone,
-    Status,
-)
-from scanrig.errors import CameraTimeout, ControllerReset, Fault, LinkLost, Reason, Refused, RigFault
+from scanrig.controllers.jxs.controller import JxsController
+from scanrig.controllers.jxs.protocol import FAULTS
+from scanrig.errors import CameraTimeout, Fault, PortError, RigFault
 from scanrig.session import Devices, Hooks, SessionResult, run_calibration, run_sweep
-from scanrig.wire import Link
 
-from .fake import ARMED_IDLE_S, ManualClock
+from .fake import FakeController, ManualClock
 from .faulty_camera import FaultyCamera
 
 
@@ -56,7 +47,6 @@ class Table:
         """Those that are dark whatever the command."""
         self.moved_px = 0
         """How far the camera was knocked."""
-        self.lit_cycles = 0
 
     @property
     def shines(self) -> int:
@@ -68,210 +58,102 @@ class Table:
         )
 
 
-class PaperController(Controller):
-    """A `Controller` without a wire; `before_shot[n]` is called before the n-th shot."""
-
-    guarantees = Guarantees(True, True, True, True)
+class PaperEnd(FakeController):
+    """The controller at the other end of the line, with a table, its lasers and a camera on its wire."""
 
     def __init__(self, table: Table, camera: FaultyCamera, clock: ManualClock) -> None:
-        self.table, self.camera, self.clock = table, camera, clock
+        self.table, self.camera = table, camera
+        self.broken_wire = self.twice = False
+        self.gone = 0
+        """How many attempts to reconnect fail."""
+        super().__init__(clock=clock, name="paper", position=table.position)
+
+    position = property(lambda self: self.table.position, lambda self, at: setattr(self.table, "position", at))
+    laser = property(lambda self: self.table.laser, lambda self, on: setattr(self.table, "laser", int(on)))
+    armed = property(lambda self: self.table.contactor, lambda self, on: setattr(self.table, "contactor", on))
+
+    def expose(self) -> None:
+        super().expose()
+        for _ in range(0 if self.broken_wire else 1 + self.twice):
+            self.camera.expose(self.table.position, self.table.shines)
+
+
+class PaperController(JxsController):
+    """The scanner's controller on a line of paper; `before_shot[n]` is called before the n-th shot."""
+
+    def __init__(self, table: Table, camera: FaultyCamera, clock: ManualClock) -> None:
+        self.fake = PaperEnd(table, camera, clock)
+        self.fake.exposures = 65530
+        super().__init__(self.fake, clock, reopen=self._found_again, session=5)
         self.before_shot: dict[int, Callable[[PaperController], None]] = {}
         self.shots: list[int] = []
         """Targets of all shots."""
         self.log: list[str] = []
-        self.boot = 7
-        self.counter = 0
-        self.fault: Fault | None = None
-        self.estop = False
-        self.homed = self.enabled = self.armed = False
-        self.settings: Settings | None = None
-        self.exposures = 65530
-        self.gone = 0
-        """How many attempts to reconnect fail."""
-        self.lost = False
+        """What was asked of it."""
         self.never_safe = False
-        self.counts = LinkCounts()
-        self._heard = clock.now()
 
     # Injected faults
 
     def lose_link(self, attempts: int = 1) -> None:
-        self.lost, self.gone = True, attempts
-        self.table.laser = False
+        self.fake.unplugged, self.fake.gone = True, attempts
+        self.fake.laser = False
+
+    def _found_again(self) -> FakeController:
+        if self.fake.gone:
+            self.fake.gone -= 1
+            raise PortError("paper is not there")
+        self.fake.unplugged = False
+        return self.fake
 
     def reset(self) -> None:
-        self.boot += 1
-        self.table.laser = self.table.contactor = False
-        self.homed = self.enabled = self.armed = False
-        self.counter, self.settings, self.fault = 0, None, None
-        raise ControllerReset(self.boot - 1, self.boot)
+        self.fake.reset()
+        super().stat()
 
     def fall_into(self, fault: Fault) -> None:
-        self.fault = fault
-        self.table.laser = self.table.contactor = self.armed = False
-        if fault is Fault.EMERGENCY_STOP:
-            self.homed = self.enabled = False
-        raise RigFault(fault, self.counter)
+        self.fake.fail({known: number for number, known in FAULTS.items()}[fault])
+        super().stat()
+        raise RigFault(fault, self.fake.counter)
 
     def lose_steps(self, count: int) -> None:
-        self.table.position -= count
+        self.fake.position -= count
 
     # Actions
 
-    name = "paper"
-
-    @property
-    def link(self) -> Link:
-        raise NotImplementedError
-
-    @property
-    def link_counts(self) -> LinkCounts:
-        return self.counts
-
-    def _alive(self, verb: str) -> None:
-        self.log.append(verb)
-        patience = max(ARMED_IDLE_S, self.settings.watchdog_ms / 1000 if self.settings else 0.0)
-        if self.clock.now() - self._heard >= patience:
-            self._open_contactor()
-        self.clock.sleep(0.003)
-        self.link_counts.sent += 1
-        if self.lost:
-            self.link_counts.unanswered += 1
-            raise LinkLost("no answer from paper")
-        self.link_counts.unanswered = 0
-        self._heard = self.clock.now()
-
-    def _open_contactor(self) -> None:
-        self.table.contactor = self.armed = False
-
-    def _require(self, held: bool, reason: Reason, verb: str) -> None:
-        if not held:
-            raise Refused(reason, verb)
-
-    def hello(self) -> Firmware:
-        self._alive("hello")
-        self.table.laser = False
-        self._open_contactor()
-        return Firmware(1, "1.0.0", self.boot, 1000)
-
-    def configure(self, settings: Settings) -> None:
-        self._alive("configure")
-        self.settings = settings
-
-    def reconnect(self, timeout_s: float = 60.0) -> Reconnection:
-        self.log.append("reconnect")
-        if self.gone * 2.0 > timeout_s:
-            raise LinkLost("paper did not come back")
-        self.clock.sleep(self.gone * 2.0)
-        self.gone, self.lost = 0, False
-        self._open_contactor()  # It is greeted.
-        return Reconnection(self.settings is not None, self.stat())
-
-    def enable(self, on: bool) -> None:
-        self._alive("enable")
-        self._require(self.fault is None, Reason.IN_FAULT, "EN on=1")
-        self.enabled = on
-
-    def arm(self, on: bool) -> None:
-        self._alive(f"arm {on:d}")
-        self._require(not on or self.fault is None, Reason.IN_FAULT, "ARM on=1")
-        self.armed = self.table.contactor = on
-
-    def home(self, max_steps: int, timeout_s: float = 120.0) -> int:
-        self._alive("home")
-        self._require(self.enabled, Reason.DRIVER_OFF, "HOME")
-        assert self.settings is not None
-        was = self.counter - self.table.position
-        self.table.position = self.counter = 0
-        self.homed = True
-        return was
-
-    def move(self, to: int, timeout_s: float = 120.0) -> int:
-        self._alive("move")
-        self._require(self.enabled, Reason.DRIVER_OFF, f"MOVE to={to}")
-        self._turn(to)
-        return to
-
-    def _turn(self, to: int) -> None:
-        self.table.position += to - self.counter
-        self.counter = to
-
-    def laser(self, on: bool, ms: int | None = None, *, number: int = 1) -> None:
-        self._alive(f"laser {on:d}")
-        self._require(not on or self.armed, Reason.NOT_ARMED, "LASER on=1")
-        self.table.laser = number if on else 0
-        self.table.lit_cycles += on
-
-    def trigger(self) -> None:
-        self._alive("trigger")
-
     def shot(self, to: int, id: int, *, number: int = 1) -> None:
-        self._alive("shot")
-        self._require(self.homed, Reason.NOT_HOMED, f"SHOT to={to}")
-        self._require(self.armed, Reason.NOT_ARMED, f"SHOT to={to}")
-        assert self.settings is not None
-        self.shots.append(to)
-        act = self.before_shot.pop(len(self.shots), None)
-        if act is not None:
-            act(self)
-        self._alive("shot answered")
-        self._turn(to)
-        self.clock.sleep(0.145)
-        for lit in (number, 0):
-            self.table.laser = lit
-            self.exposures = (self.exposures + 1) % 65536
-            self.camera.expose(self.table.position, self.table.shines)
-        self.table.lit_cycles += 1
-
-    def wait_shot(self, id: int, timeout_s: float = 120.0) -> ShotDone:
-        self._alive("wait_shot")
-        return ShotDone(self.counter, self.exposures)
-
-    def stat(self) -> Status:
-        self._alive("stat")
-        return Status(
-            state="fault" if self.fault else "idle",
-            fault=self.fault,
-            position=self.counter,
-            homed=self.homed,
-            armed=self.armed,
-            enabled=self.enabled,
-            laser=self.table.laser,
-            exposures=self.exposures,
-            home_switch=self.table.position <= 0,
-            estop=self.estop,
-        )
-
-    def poll(self) -> Status:
-        status = self.stat()
-        if self.fault:
-            raise RigFault(self.fault, self.counter)
-        return status
-
-    def counters(self) -> Counters:
-        self._alive("counters")
-        return Counters(0, 0, 0, self.table.lit_cycles, 1000, 0)
-
-    def clear(self) -> None:
-        self._alive("clear")
-        self._require(not self.estop, Reason.STILL_PRESSED, "CLEAR")
-        self.fault = None
-
-    def stop(self) -> None:
-        self._alive("stop")
-        self.table.laser = False
-
-    def abort(self) -> None:
-        self.log.append("abort")
-        self.table.laser = self.table.contactor = self.armed = False
-        self.fault = Fault.ABORTED
+        self.log.append("shot")
+        if self.fake.homed and self.fake.armed:
+            self.shots.append(to)
+            if act := self.before_shot.pop(len(self.shots), None):
+                act(self)
+        super().shot(to, id, number=number)
 
     def make_safe(self) -> bool:
         self.log.append("make_safe")
-        if self.never_safe or self.lost:
-            return False
-        self.table.laser = self.table.contactor = self.armed = False
-        return True
+        return super().make_safe() and not self.never_safe
+
+
+def _of_fake(name: str) -> property:
+    return property(lambda self: getattr(self.fake, name), lambda self, value: setattr(self.fake, name, value))
+
+
+def _logged(name: str) -> Callable[..., Any]:
+    do = getattr(JxsController, name)
+
+    @functools.wraps(do)
+    def logged(self: PaperController, *arguments: Any, **keys: Any) -> Any:
+        self.log.append(f"{name} {arguments[0]:d}" if name in ("arm", "laser") else name)
+        return do(self, *arguments, **keys)
+
+    return logged
+
+
+for _name in ("table", "camera", "estop", "exposures", "turn", "switch", "slips", "broken_wire", "twice", "fault"):
+    setattr(PaperController, _name, _of_fake(_name))
+for _name in (
+    "hello", "configure", "reconnect", "enable", "arm", "home", "move", "laser", "trigger", "wait_shot", "counters",
+    "clear", "stop", "abort",
+):  # fmt: skip
+    setattr(PaperController, _name, _logged(_name))
 
 
 class Desk:

@@ -61,6 +61,10 @@ class FakeController:
     position: int = 500
     """Of the table, from the switch."""
 
+    turn: int | None = None
+    """Microsteps after which the switch comes again; None: it is nowhere else."""
+    slips: int = 0
+    """Microsteps that a homing stops beside the switch."""
     lasers: int = 2
 
     def __post_init__(self) -> None:
@@ -79,6 +83,7 @@ class FakeController:
         self.state = "idle"
         self.homed = self.armed = self.enabled = self.laser = self.session = False
         self.was = 0
+        self.pulse_ends_s = 0.0
         self.events = 0
         self.last: tuple[int, bytes] = (0, b"")
         self._line = b""
@@ -142,12 +147,11 @@ class FakeController:
         self.out += heard
 
     def _run(self) -> None:
-        busy = self.laser or self.due is not None
-        if busy and self.clock.now() - self._fed > self.settings["motion"]["wd"] / 1000:
+        now, patience = self.clock.now(), self.settings["motion"]["wd"] / 1000
+        busy_until = now if self.laser or self.due is not None else min(now, self.pulse_ends_s)
+        if busy_until - self._fed > patience:
             self.fail(2)
-        if self.state == "idle" and self.clock.now() - self._fed >= max(
-            ARMED_IDLE_S, self.settings["motion"]["wd"] / 1000
-        ):
+        if self.state == "idle" and now - self._fed >= max(ARMED_IDLE_S, patience):
             self.armed = False
         if self.due and self.clock.now() >= self.due[0] - 1e-9:
             _, finish = self.due
@@ -194,7 +198,7 @@ class FakeController:
                 inputs = int(self.position <= 0 and self.switch) + 2 * self.estop
                 return (
                     f" st={self.state} f={self.fault} pos={self.counter} hm={self.homed:d} arm={self.armed:d} "
-                    f"en={self.enabled:d} las={self.laser:d} le=0 trg={self.exposures % 65536} in={inputs} "
+                    f"en={self.enabled:d} las={bool(self.laser):d} le=0 trg={self.exposures % 65536} in={inputs} "
                     f"ev={self.events}"
                 )
             case "CNT":
@@ -239,25 +243,26 @@ class FakeController:
                 self.armed = True
             case "LASER" if self.armed:
                 self.pulses += not self.laser
-                self.laser = True
+                self.laser = args.get("n", 1)
             case "TRIG":
-                self.exposures += 1
+                self.pulse_ends_s = self.clock.now() + self.settings["shot"]["exp"] / 1000
+                self.expose()
             case "LASER":
                 return 14
             case _ if not self.enabled:
                 return 11
             case "MOVE":
                 self._begin("move", args["to"], lambda: self.tell(f"DONE seq={seq} pos={self.counter}"))
-            case "HOME" if not self.switch:
+            case "HOME" if not self.switch or self._above_switch() > args["max"]:
                 self._begin("home", self.counter - args["max"], lambda: self.fail(4))
             case "HOME":
-                self._begin("home", self.counter - self.position, lambda: self._homed(seq))
+                self._begin("home", self.counter - self._above_switch(), lambda: self._homed(seq))
             case "SHOT" if not self.homed:
                 return 8
             case "SHOT" if args["m"] & 1 and not self.armed:
                 return 14
             case "SHOT":
-                self._begin("shot", args["to"], lambda: self._shot(args["id"], args["m"]))
+                self._begin("shot", args["to"], lambda: self._shot(**args))
             case _:
                 return 3
         return ""
@@ -273,11 +278,22 @@ class FakeController:
         self.state = state
         self.due = (self.clock.now() + 0.1 + abs(steps) / 4000, arrive)
 
+    def _above_switch(self) -> int:
+        return self.position if self.turn is None else self.position % self.turn
+
+    def expose(self) -> None:
+        """A pulse at the camera."""
+        self.exposures += 1
+
     def _homed(self, seq: int) -> None:
+        self.position += self.slips
         self.was, self.counter, self.homed = self.counter, 0, True
         self.tell(f"HOMED seq={seq} was={self.was}")
 
-    def _shot(self, number: int, modes: int) -> None:
-        self.pulses += modes & 1
-        self.exposures += (modes & 1) + (modes >> 1)
-        self.tell(f"SHOT id={number} pos={self.counter} trg={self.exposures % 65536}")
+    def _shot(self, id: int, m: int, to: int, n: int = 1) -> None:
+        self.pulses += m & 1
+        for lit in (n, 0)[1 - (m & 1) : 1 + (m >> 1)]:
+            self.laser = lit
+            self.expose()
+        self.laser = False
+        self.tell(f"SHOT id={id} pos={self.counter} trg={self.exposures % 65536}")

@@ -6,34 +6,7 @@ from scanrig.cameras.simulated import SyntheticScene
 from scanrig.doctor import examine, fitting_gear, measure_turn, stripe_level
 from scanrig.errors import Fault, FirmwareError, LinkLost, RigError, RigFault
 
-from .desk import Desk, PaperController
-
-
-class Turning(PaperController):
-    """A table that goes round: its home switch comes again after `turn` microsteps."""
-
-    turn = 28800
-    switch = True
-    slips = 0
-    broken_wire = False
-    twice = False
-
-    def home(self, max_steps, timeout_s=120.0):
-        self._alive("home")
-        below = self.table.position % self.turn
-        if not self.switch or below > max_steps:
-            self.fall_into(Fault.HOME_NOT_FOUND)
-        was = self.counter - below
-        # Physically the table stands at the edge of some turn; the counter begins there.
-        self.table.position -= below - self.slips
-        self.counter, self.homed = 0, True
-        return was
-
-    def trigger(self):
-        self._alive("trigger")
-        self.exposures = (self.exposures + 1) % 65536
-        for _ in range(0 if self.broken_wire else 1 + self.twice):
-            self.camera.expose(self.table.position, self.table.shines)
+from .desk import Desk
 
 
 @pytest.fixture
@@ -43,7 +16,7 @@ def desk():
 
 def make_desk(**tables):
     desk = Desk(**tables)
-    desk.controller = Turning(desk.table, desk.camera, desk.clock)
+    desk.controller.turn = 28800
     return desk
 
 
@@ -81,6 +54,7 @@ def test_a_rig_that_is_well(desk, tmp_path):
 def test_a_turn_is_measured_whatever_it_should_have_been(desk, true):
     controller = desk.controller
     controller.turn = true
+    controller.hello()
     controller.enable(True)
     controller.home(60 * true)
     before = desk.table.position
@@ -93,6 +67,7 @@ def test_a_table_that_does_not_turn(desk):
     controller = desk.controller
     controller.turn = 10**9
     controller.table.position = 0
+    controller.hello()
     controller.enable(True)
     with pytest.raises(RigError, match="did not come again"):
         measure_turn(controller, 3200, speed=4000)
@@ -101,6 +76,7 @@ def test_a_table_that_does_not_turn(desk):
 def test_a_belt_that_slips(desk):
     desk.controller.table.position = 0
     desk.controller.slips = 700
+    desk.controller.hello()
     desk.controller.enable(True)
     with pytest.raises(RigError, match="on the way back"):
         measure_turn(desk.controller, 28800, speed=4000)
@@ -161,7 +137,7 @@ def test_within_limits_that_allow_a_turn_it_is_measured(tmp_path, true, verdict)
 
 
 def test_estop_pressed(desk, tmp_path):
-    desk.controller.estop, desk.controller.fault = True, Fault.EMERGENCY_STOP
+    desk.controller.fake.press(True)
     found = examined(desk, tmp_path)
     assert (found["inputs"].verdict, found["inputs"].found) == ("wrong", "the emergency stop is pressed")
     assert "home" not in found and desk.controller.shots == []
@@ -210,28 +186,8 @@ def test_a_folder_that_cannot_be_written(desk, tmp_path):
     assert found["storage"].verdict == "wrong" and "cannot be written" in found["storage"].do
 
 
-class Watched(Turning):
-    """Its link watchdog looks at pulses: half a second without a line in one of them is a fault."""
-
-    heard_s = pulse_ends_s = 0.0
-
-    def _alive(self, verb):
-        now = self.clock.now()
-        if min(now, self.pulse_ends_s) > self.heard_s + 0.5:
-            self.fault = Fault.LINK_LOST
-        self.heard_s = now
-        super()._alive(verb)
-
-    def trigger(self):
-        super().trigger()
-        if self.fault:
-            raise RigFault(self.fault, self.counter)
-        self.pulse_ends_s = self.clock.now() + self.settings.exposure_ms / 1000
-
-
 def test_pulses_that_are_longer_than_the_link_watchdog_waits(tmp_path):
-    desk = Desk(camera={"exposure_ms": 2000.0})
-    desk.controller = Watched(desk.table, desk.camera, desk.clock)
+    desk = make_desk(camera={"exposure_ms": 2000.0})
     found = examined(desk, tmp_path)
     assert found["trigger"].verdict == "works", found["trigger"]
 
@@ -266,7 +222,7 @@ def test_without_camera_the_controller_is_examined(desk, tmp_path):
     found = examined(desk, tmp_path, camera=None, config=None)
     assert set(found) == {"firmware", "inputs", "settings", "home", "steps per turn", "laser off"}
     assert found["steps per turn"].found == "28800 microsteps from home to home"
-    assert desk.table.lit_cycles == 0
+    assert desk.controller.fake.pulses == 0
 
 
 def test_without_controller_the_camera_is_examined(desk, tmp_path):

@@ -1,8 +1,11 @@
 """One step: the notes of a step that was done, and what a person gave that its sweeps contradict."""
 
+import re
+
 import pytest
 
 from jaxscan.errors import CalibrationError, GivenError
+from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME
 from jaxscan.project import work as module
 from tests.opened import edit, work
 
@@ -38,3 +41,24 @@ def test_a_contradiction_of_what_was_given_is_not_hidden_by_the_stored_calibrati
     monkeypatch.setattr(module, "_save", save)
     with pytest.raises(raised):
         module.refine_rig(object.__new__(module.StepWorkspace))
+
+
+def test_a_plan_has_the_names_of_project_and_room_and_the_day_of_the_capture(museum, monkeypatch):
+    edit(museum, '["cloud", "measures", "mesh"]', '["cloud", "plan"]')
+    for number, day in ((1, '"2026-03-05T10:00:00+01:00"'), (2, "7")):
+        header = museum.parent / f"room-{number}" / HEADER_NAME
+        text = re.sub("(?m)^started = .*$", "", header.read_text())
+        header.write_text(text.replace("[acquisition]", f"[acquisition]\nstarted = {day}"))
+        # A seal keeps the header as it was.
+        edit(header.with_name(JOURNAL_NAME), '"journal_sha256"', '"other"')
+    sheets = []
+    monkeypatch.setitem(module.WORK, "cloud", lambda workspace: _say(workspace, "made"))
+    for name in ("cloud", "scanner"):
+        monkeypatch.setattr(module.StepWorkspace, name, lambda workspace: None)
+    monkeypatch.setattr(module, "survey_room", lambda cloud, *, scanner: None)
+    monkeypatch.setattr(module, "draw_plan", lambda survey, *, sheet: sheets.append(sheet))
+    monkeypatch.setattr(module.api, "save_drawing", lambda drawing, path: path.write_bytes(b"made"))
+    rows = work(museum)
+    assert not [row.message for row in rows if row.state == "failed"]
+    titles = {(sheet.project, sheet.room, sheet.date) for sheet in sheets}
+    assert titles == {("museum", "room-1", "2026-03-05"), ("museum", "room-2", "")}

@@ -1,10 +1,13 @@
 """First poses of stations: rooms of boxes whose stripes are exact, seen from known places."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
+from jaxscan.api import recalibration as module
+from jaxscan.api.stages import Stage, Stages
 from jaxscan.calibration import Calibration
 from jaxscan.errors import CalibrationError, GivenError
 from jaxscan.recalibration import RecalibrationSettings, SweepStripes, Tracks, register
@@ -27,6 +30,13 @@ def sweeps_of(room: Room, poses) -> list[SweepStripes]:
     return [sweep_of(room, T, seed=k, station=k) for k, T in enumerate(poses)]
 
 
+def calibration() -> Calibration:
+    """The rig, each parameter known to 1e-5 of its unit."""
+    names, sigma = SCANNER.parameter_names(), np.full(len(SCANNER.parameter_names()), 1e-5)
+    scanner = replace(SCANNER, covariance=np.diag(sigma**2))
+    return Calibration(scanner.camera, scanner, names, np.asarray(scanner.covariance))
+
+
 def assert_near(found, truth):
     assert np.linalg.norm(found[:3, 3] - truth[:3, 3]) < NEAR_M
     turn = found[:3, :3].T @ truth[:3, :3]
@@ -43,12 +53,10 @@ def test_two_stations_are_placed_by_what_both_see(room):
 
 def test_registered_stations_are_where_they_stood_within_their_sigmas():
     """Poses to a tenth of a millimetre, by walls alone; of the solves of a recalibration one or two are left."""
-    names, sigma = SCANNER.parameter_names(), np.full(len(SCANNER.parameter_names()), 1e-5)
-    scanner = replace(SCANNER, covariance=np.diag(sigma**2))
     poses, stages = PLACES[:3:2], []
     found = register(
         sweeps_of(FURNISHED, poses),
-        Calibration(scanner.camera, scanner, names, np.asarray(scanner.covariance)),
+        calibration(),
         RecalibrationSettings(stations=True),
         progress=lambda done, total: stages.append((done, total)),
     )
@@ -91,8 +99,9 @@ def test_a_first_pose_is_settled_on_the_walls(empty):
     assert_near(place_stations(empty[0], SCANNER, start={1: start})[1], empty[1])
 
 
-def test_targets_by_name_place_a_station(empty):
-    """Marks on two walls, seen as pixels; one that was moved between the sweeps is left out."""
+@pytest.fixture(scope="module")
+def marks(empty):
+    """Marks on two walls, seen as pixels from both stations; one was moved between the sweeps."""
     world = np.array([[4.2, 2.0, 1.0], [4.2, 3.4, 1.5], [2.0, 5.4, 0.9], [1.2, 5.4, 1.6], [0.0, 3.0, 1.2]])
     rig, camera = make_rig(demo()), demo().camera
     rows = []
@@ -106,11 +115,42 @@ def test_targets_by_name_place_a_station(empty):
             rows += [(q[k], station, record, k) for k in np.flatnonzero(seen)]
     q, sweep, record, track = (np.array(column) for column in zip(*rows, strict=True))
     names = tuple(f"marker {k}" for k in range(5))
-    tracks = Tracks(q, np.full(len(q), 0.1), sweep, record, track, np.zeros((5, 3)), names)
-    assert_near(place_stations(empty[0], SCANNER, tracks=tracks)[1], empty[1])
+    return Tracks(q, np.full(len(q), 0.1), sweep, record, track, np.zeros((5, 3)), names)
+
+
+def test_targets_by_name_place_a_station(empty, marks):
+    assert_near(place_stations(empty[0], SCANNER, tracks=marks)[1], empty[1])
     # Without names nobody knows that they are the same.
     with pytest.raises(CalibrationError, match="two places"):
-        place_stations(empty[0], SCANNER, tracks=tracks._replace(name=()))
+        place_stations(empty[0], SCANNER, tracks=marks._replace(name=()))
+
+
+def test_targets_are_looked_for_where_walls_leave_a_station_open(empty, marks, monkeypatch):
+    """What is looked at is exact; all that follows from it is done as `jaxscan register` does it."""
+    known, captures = calibration(), [SimpleNamespace(image_size=(640, 512), journal=()) for _ in empty[0]]
+    asked = []
+    monkeypatch.setattr(module, "with_stops", lambda settings, captures: settings)
+    monkeypatch.setattr(module, "_check_captures", lambda *_: None)
+    monkeypatch.setattr(module, "plan_sweep", lambda *_: None)
+    monkeypatch.setattr(module, "_stages", lambda *_, **__: Stages(None, (Stage(1.0),)))
+    monkeypatch.setattr(module, "_swept", lambda *_: (empty[0], []))
+
+    def look(captures, sweeps, *_):
+        asked.append([one.name for one in sweeps])
+        return seen, ("looked",)
+
+    monkeypatch.setattr(module.recalibration, "observe_features", look)
+    seen = marks
+    found, notes = module.register(captures, known)
+    away = np.linalg.inv(empty[1]) @ found.stations[1]
+    sigma_m = np.sqrt(np.diag(found.station_covariance[1])[:3])
+    # Walls and marks know it to a millimetre; the covariance says so.
+    assert found.converged and np.all(sigma_m < 2e-3) and np.all(np.abs(away[:3, 3]) < 4 * sigma_m)
+    assert notes == ("looked",) and asked == [[one.name for one in empty[0]]]
+    # Without any, the walls' own refusal stands, with its remedy.
+    seen = None
+    with pytest.raises(CalibrationError, match=r"two places .* leave targets"):
+        module.register(captures, known)
 
 
 def test_stations_of_two_rooms_are_refused():

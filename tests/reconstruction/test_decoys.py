@@ -7,10 +7,14 @@ import pytest
 
 from jaxscan.errors import CaptureError
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract
-from jaxscan.reconstruction.decoys import DecoyWatch, clearness, judge
+from jaxscan.reconstruction.decoys import Decoys, DecoyWatch, Spacing, clearness, judge, judge_sweep
+from jaxscan.reconstruction.plan import plan_sweep
 from jaxscan.reconstruction.sweep import Batch
 from jaxscan.stripes import ChunkStripes, FrameStripes
 
+from .conftest import HEIGHT as LINES
+from .conftest import WIDTH as SAMPLES
+from .conftest import small_scanner
 from .rooms import HEIGHT, STEPS, moving_light, room
 
 
@@ -117,129 +121,211 @@ def test_bright_print_before_a_mono_camera_is_no_laser():
         extract(Sweep(world.dark, None, world.angles), world.scanner, settings=SETTINGS)
 
 
-def _clear(rng, count, scale):
-    """Stripes of so much light, as clear as they are bright."""
-    values = np.zeros(4000, np.float32)
-    values[:count] = scale * rng.uniform(0.5, 1.5, count)
-    return rng.permutation(values).reshape(8, 500)
+# A record of a line on every line of the image, which goes on as a laser's does: 0.3 px a line, 0.4 px a profile.
+def _line(profiles, lines):
+    return (40.0 + 0.3 * np.arange(lines) + 0.4 * np.arange(profiles)[:, None]).astype(np.float32)
 
 
-def _judged(stripes, decoys, per_profile):
-    both = (np.stack([values, values**2], -1) for values in (stripes, decoys))
-    return judge(*both, per_profile=per_profile)
+def _fields(u, valid=None, amplitude=25.0):
+    valid = np.ones(u.shape, bool) if valid is None else valid
+    return {"u": u, "valid": valid, "amplitude": np.full(u.shape, amplitude, np.float32)}
 
 
-def _bright_lines(batch):
-    """Every line has a stripe as wide as it is bright."""
-    light = np.asarray(batch.on, np.float32).mean(2)
-    types = {"saturated": np.uint8, "valid": np.bool_}
-    stripes = FrameStripes(*(np.zeros(light.shape, types.get(name, np.float32)) for name in FrameStripes._fields))
-    return ChunkStripes(stripes._replace(width=light, amplitude=light, sigma=stripes.sigma + 1, valid=light > 0), None)
+def test_a_stripe_that_goes_on_is_clearer():
+    """All around go on; then every other line is 30 px away, then every other profile, then one stripe is alone."""
+    profiles, lines = 9, 31
+    u, sequence = _line(profiles, lines), [np.arange(9)]
+    whole = clearness(_fields(u), sequence, Spacing())
+    np.testing.assert_allclose(whole, np.broadcast_to([1.0, 25.0, 25.0], whole.shape), rtol=1e-6)
+    jumps = u + 30.0 * (np.arange(lines) % 2)
+    # Of 54 around 24 are left, and of 10 in the profile 4.
+    around = 0.5 * (1.0 + 24 / 54)
+    np.testing.assert_allclose(
+        clearness(_fields(jumps), sequence, Spacing())[4, 15], [around, 25 * around**2, 25 * 0.4**2], rtol=1e-6
+    )
+    moves = u + 30.0 * (np.arange(profiles) % 2)[:, None]
+    around = 0.5 * (2 / 4 + 32 / 54)
+    np.testing.assert_allclose(
+        clearness(_fields(moves), sequence, Spacing())[4, 15], [around, 25 * around**2, 25.0], rtol=1e-6
+    )
+    alone = np.zeros(u.shape, bool)
+    alone[4, 15] = True
+    found = clearness(_fields(u, alone), sequence, Spacing())
+    np.testing.assert_allclose(found[4, 15], [0.01, 0.0025, 0.0025], rtol=1e-5)
+    assert not found[~alone].any()
+
+
+def test_lines_of_a_mosaic_and_profiles_of_two_lasers_are_neighbours():
+    """A Bayer mosaic has a colour on every other line; the profiles between are those of the other laser."""
+    u = np.repeat(_line(9, 31), 2, 0)
+    u[1::2] += 20.0
+    valid = np.zeros(u.shape, bool)
+    valid[:, 1::2] = True
+    found = clearness(_fields(u, valid), [np.arange(0, 18, 2), np.arange(1, 18, 2)], Spacing())
+    np.testing.assert_allclose(found[valid], np.broadcast_to([1.0, 25.0, 25.0], found[valid].shape), rtol=1e-6)
+    assert not found[~valid].any()
+
+
+def test_long_sweeps_are_looked_at_in_pieces():
+    """Neighbours beyond a piece count as those in it, so a shifted sweep is as clear."""
+    rng = np.random.default_rng(3)
+    u = _line(600, 12) + rng.uniform(-2.0, 2.0, (600, 12)).astype(np.float32)
+    whole = clearness(_fields(u), [np.arange(600)], Spacing())
+    later = clearness(_fields(u[100:]), [np.arange(500)], Spacing())
+    np.testing.assert_array_equal(whole[102:], later[2:])
+
+
+def _plan(records, *, step_deg=1.0):
+    frames = np.zeros((records, LINES, SAMPLES), np.uint8)
+    return plan_sweep(Sweep(frames, frames, np.radians(step_deg) * np.arange(records)), small_scanner(), SETTINGS)
+
+
+@pytest.mark.parametrize(("step_deg", "every"), [(10.0, 1), (0.5, 7), (0.0, 1)])
+def test_profiles_are_compared_where_the_room_has_moved_on(step_deg, every):
+    """The focal length is 102 px, so that half a degree is 0.9 px."""
+    assert Spacing.of(_plan(60, step_deg=step_deg)).every == every
 
 
 def test_decoys_are_the_same_in_batches_of_any_size():
-    rng, records, lines = np.random.default_rng(5), 40, 100
-    on, off = rng.integers(1, 20, (2, records, lines, 4)).astype(np.uint8)
-    on[:, lines // 10 :] += 100
-    watches = [DecoyWatch(records, predicted=False) for _ in range(2)]
-    for start in range(0, records, 8):
-        batch = Batch(np.arange(start, start + 8), 0, on[start : start + 8], off[start : start + 8])
-        for watch in watches:
-            watch.look(batch, _bright_lines(batch))
-    compared = [watch.compared(_bright_lines, size) for watch, size in zip(watches, (3, 32), strict=True)]
-    found, other = (judge(*both, per_profile=float(lines)) for both in compared)
-    assert found == other
-    # A tenth of the lines is chance, and no clearer than 19 / 1.
-    assert 5 < found.least ** (1 / (1 + found.measure)) < 20 and found.note is not None
+    rng, records = np.random.default_rng(5), 40
+    on, off = rng.integers(1, 20, (2, records, LINES, 4)).astype(np.uint8)
+
+    def brightest(batch):
+        """Every line has a stripe where it is brightest."""
+        light = np.asarray(batch.on, np.float32)
+        types = {"saturated": np.uint8, "valid": np.bool_}
+        stripes = FrameStripes(*(np.zeros(light.shape[:2], types.get(k, np.float32)) for k in FrameStripes._fields))
+        u, amplitude = light.argmax(2).astype(np.float32), light.max(2)
+        return ChunkStripes(stripes._replace(u=u, amplitude=amplitude, valid=amplitude > 10), None)
+
+    found = []
+    for size in (3, 8, 40):
+        watch, parts = DecoyWatch(_plan(records), predicted=True), []
+        for start in range(0, records, size):
+            part = slice(start, start + size)
+            parts.append(watch.look(Batch(np.arange(records)[part], 0, on[part], off[part]), brightest))
+        found.append(Decoys.joined(parts))
+    for one in found[1:]:
+        assert all(np.array_equal(a, b) for a, b in zip(one, found[0], strict=True))
+    # Runs of five profiles between which the room moves by 4 times 1.8 px; two of them fit in.
+    assert found[0].profile.tolist() == [0, 4, 8, 12, 16, 23, 27, 31, 35, 39]
+    np.testing.assert_array_equal(found[0].u[0], off[found[0].profile[0]].argmax(1))
+
+
+# Stripes that a laser makes go on with most of their neighbours, those of chance with few of them.
+def _lit(rng, count, clear=(0.6, 1.0), light=60.0):
+    return _with_light(rng, count, clear, light)
+
+
+def _by_chance(rng, count, clear=(0.02, 0.3), light=20.0):
+    return _with_light(rng, count, clear, light)
+
+
+def _with_light(rng, count, clear, light):
+    go_on, brightness = rng.uniform(*clear, count), light * rng.uniform(0.5, 1.5, count)
+    return np.stack([go_on, go_on**2 * brightness, go_on**2 * brightness], 1)
+
+
+def _judged(stripes, decoys, per_profile=300.0):
+    """Of lists of stripes, on 500 lines of 8 profiles."""
+    fields = []
+    for values in (stripes, decoys):
+        field = np.zeros((4000, 3), np.float32)
+        field[: len(values)] = values
+        fields.append(field.reshape(8, 500, 3))
+    return judge(fields[0], fields[1], per_profile=per_profile)
+
+
+def _kept(chance, values):
+    return np.count_nonzero(values[:, chance.measure] >= chance.least)
 
 
 @pytest.mark.parametrize("decoys", [1, 3])
 def test_a_small_object_keeps_its_stripes_beside_a_clear_decoy(decoys):
-    """A moving reflection may be clearer than every stripe; of 320 stripes it says nothing."""
+    """A moving reflection may be brighter than every stripe; of 320 stripes it says nothing."""
     rng = np.random.default_rng(2)
-    chance = _judged(_clear(rng, 320, 20.0), _clear(rng, decoys, 100.0), per_profile=40.0)
+    chance = _judged(_lit(rng, 320), _by_chance(rng, decoys, light=400.0), per_profile=40.0)
     assert chance.least == 0.0 and chance.note is None
+
+
+@pytest.mark.parametrize(("lit", "others"), [(2000, 600), (900, 2500), (100, 3000)])
+def test_decoys_raise_the_threshold(lit, others):
+    """However few the lit lines are: the others are left out."""
+    rng = np.random.default_rng(1)
+    true, chance, decoys = _lit(rng, lit), _by_chance(rng, others), _by_chance(rng, others)
+    found = _judged(np.concatenate([true, chance]), decoys)
+    assert _kept(found, true) > 0.97 * lit
+    # One in 300; and where one decoy is above the threshold more than 8 of chance are in one case in 28.
+    assert _kept(found, chance) <= lit / 300 + 8
+    assert found.note is not None and "doubtful" in found.note and "one dark picture as --off" in found.note
+
+
+@pytest.mark.parametrize("more", [0.5, 1.5])
+def test_stripes_of_chance_are_counted_by_those_that_are_no_clearer_than_decoys(more):
+    """Lit lines have decoys and no stripe of chance; and bright print is commoner than dark print."""
+    rng = np.random.default_rng(4)
+    decoys, others = _by_chance(rng, 2000, clear=(0.02, 0.8)), _by_chance(rng, int(2000 * more), clear=(0.02, 0.8))
+    true = _lit(rng, 1000)
+    found = _judged(np.concatenate([true, others]), decoys)
+    false = _kept(found, others) / (_kept(found, true) + _kept(found, others))
+    # Three standard deviations of three stripes.
+    assert false <= 0.003 + 3 * np.sqrt(0.003 / 1000)
+    assert _kept(found, true) > 0.7 * len(true)
+
+
+@pytest.mark.parametrize(("stripes", "decoys"), [(600, 600), (300, 600), (60, 50), (900, 600)])
+def test_no_more_stripes_than_decoys_are_refused(stripes, decoys):
+    rng = np.random.default_rng(2)
+    with pytest.raises(CaptureError, match="not told from chance"):
+        _judged(_by_chance(rng, stripes), _by_chance(rng, decoys), per_profile=stripes / 8)
+
+
+def test_brightness_tells_where_the_camera_stands():
+    """The room goes on from profile to profile as well as the line."""
+    rng = np.random.default_rng(6)
+    true, chance, decoys = (
+        _with_light(rng, count, (0.9, 1.0), light) for count, light in ((400, 90.0), (2000, 9.0), (2000, 9.0))
+    )
+    for field in (true, chance, decoys):
+        field[:, 0] = np.where(field[:, 0] > 0.95, 1.0, field[:, 0])
+    found = _judged(np.concatenate([true, chance]), decoys)
+    assert found.measure == 1 and _kept(found, true) == 400 and _kept(found, chance) <= 6
+
+
+def test_lines_tell_where_profiles_are_far_apart():
+    """Nothing goes on from one to the next, but by chance."""
+    rng = np.random.default_rng(8)
+    true, chance, decoys = (_by_chance(rng, count) for count in (1000, 1000, 1000))
+    true[:, 2] = 60.0 * rng.uniform(0.5, 1.5, 1000)
+    found = _judged(np.concatenate([true, chance]), decoys)
+    assert found.measure == 2 and _kept(found, true) == 1000 and _kept(found, chance) <= 6
 
 
 def test_a_line_beside_a_few_clearer_decoys_is_kept_and_said():
     rng = np.random.default_rng(2)
-    chance = _judged(_clear(rng, 320, 20.0), _clear(rng, 12, 100.0), per_profile=40.0)
+    chance = _judged(_lit(rng, 320), _lit(rng, 10, clear=(1.0, 1.0), light=600.0), per_profile=40.0)
     assert chance.least == 0.0 and chance.note is not None and "as clear as these" in chance.note
-
-
-def test_a_stripe_that_goes_on_is_clearer():
-    """One line with a gap, one that jumps, and one row by itself, of the same fits."""
-    lines = 40
-    u = np.tile(0.5 * np.arange(lines), (3, 1)).astype(np.float32)
-    u[1, ::2] += 30
-    valid = np.ones(u.shape, bool)
-    valid[0, 20], valid[2] = False, np.arange(lines) == 20
-    one = np.ones(u.shape, np.float32)
-    clear = clearness({"valid": valid, "u": u, "width": one, "sigma": 0.1 * one, "amplitude": 25 * one})
-    np.testing.assert_allclose(clear[0, 10], [10.0, 50.0], rtol=1e-5)
-    # A line that has no stripe is no end.
-    np.testing.assert_allclose(clear[0, 18], [10.0, 50.0], rtol=1e-5)
-    for row in (1, 2):
-        np.testing.assert_allclose(clear[row, 20], np.array([10.0, 50.0]) / 121, rtol=1e-5)
-    assert not clear[~valid].any()
-
-
-@pytest.mark.parametrize(("lit", "others"), [(2000, 600), (900, 2500)])
-def test_decoys_raise_the_threshold(lit, others):
-    rng = np.random.default_rng(1)
-    true, chance, decoys = _clear(rng, lit, 60.0), _clear(rng, others, 4.0), _clear(rng, others, 4.0)
-    found = _judged(np.maximum(true, chance), decoys, per_profile=300.0)
-    # Chance reaches 6; that many are left that no more than one in 400 is of chance.
-    assert 5.0 < found.least ** (1 / (1 + found.measure)) <= 6.1
-    assert found.note is not None and "doubtful" in found.note
-
-
-@pytest.mark.parametrize(("stripes", "decoys"), [(600, 600), (300, 600), (60, 50), (0, 40)])
-def test_no_more_stripes_than_decoys_are_refused(stripes, decoys):
-    rng = np.random.default_rng(2)
-    with pytest.raises(CaptureError, match="not told from chance"):
-        _judged(_clear(rng, stripes, 4.0), _clear(rng, decoys, 4.0), per_profile=stripes / 8)
 
 
 def test_hardly_any_stripe_is_said():
     rng = np.random.default_rng(3)
-    few = _judged(_clear(rng, 3, 4.0), _clear(rng, 0, 4.0), per_profile=0.4)
-    assert few.note is not None and "hardly any record" in few.note
+    for stripes, decoys in ((3, 0), (0, 40)):
+        few = _judged(_by_chance(rng, stripes), _by_chance(rng, decoys), per_profile=0.4)
+        assert few.note is not None and "hardly any record" in few.note
     # The looked-at records may be just those that show nothing.
-    assert _judged(_clear(rng, 3, 4.0), _clear(rng, 0, 4.0), per_profile=40.0).note is None
+    assert _judged(_by_chance(rng, 3), _by_chance(rng, 0), per_profile=40.0).note is None
 
 
-def _with_a_line(rng, profiles, clear):
-    """Chance on 500 rows of 16 profiles, as often turned round; and a line on ten rows of some profiles."""
-    stripes, decoys = (rng.uniform(1.0, 4.0, (16, 500)).astype(np.float32) for _ in range(2))
-    stripes[:profiles, 100:110] = clear
-    return stripes, decoys
-
-
-def test_a_line_on_few_rows_of_most_profiles_is_found():
-    stripes, decoys = _with_a_line(np.random.default_rng(7), 8, 20.0)
-    found = _judged(stripes, decoys, per_profile=250.0)
-    assert np.count_nonzero((stripes if found.measure == 0 else stripes**2) >= found.least) == 80
-    assert found.note is not None and "narrower range limits" in found.note
-
-
-@pytest.mark.parametrize(("profiles", "clear"), [(4, 20.0), (16, 4.5)])
-def test_a_line_that_chance_may_show_is_refused(profiles, clear):
-    """In a few profiles alone, or hardly clearer than chance."""
-    with pytest.raises(CaptureError, match="not told from chance"):
-        _judged(*_with_a_line(np.random.default_rng(7), profiles, clear), per_profile=250.0)
-
-
-def test_amplitude_parts_what_clearness_does_not():
-    """Where speckle is strong a stripe of 60 DN is hardly clearer than one of 9 DN."""
-    rng, shape = np.random.default_rng(6), (8, 500)
-    stripes, dim = (rng.uniform(3.0, 9.0, shape) for _ in range(2))
-    lit = rng.uniform(size=shape) < 0.5
-    stripes = np.where(lit, 1.5, 1.0) * stripes
-    stripes = np.stack([stripes, np.where(lit, 60.0, 9.0) * stripes], -1).astype(np.float32)
-    decoys = np.stack([dim, 9.0 * dim], -1).astype(np.float32)
-    found = judge(stripes, decoys, per_profile=500.0)
-    assert found.measure == 1
-    kept = stripes[..., 1] >= found.least
-    assert np.count_nonzero(kept & lit) > 0.95 * np.count_nonzero(lit)
-    assert np.count_nonzero(kept & ~lit) <= 0.01 * np.count_nonzero(kept)
+def test_lines_of_a_sweep_are_left_out_and_few_that_are_left_are_said():
+    """A line on twenty lines of all profiles; or on three of them."""
+    rng, records = np.random.default_rng(9), 60
+    plan = _plan(records, step_deg=10.0)
+    for rows, said in ((20, "would keep more"), (1, "hardly any record shows a stripe")):
+        u, decoy = (rng.uniform(0.0, SAMPLES, (records, LINES)).astype(np.float32) for _ in range(2))
+        u[:, 10 : 10 + rows] = _line(records, rows) % 60.0
+        searched = np.concatenate([np.arange(start, start + 5) for start in (0, 18, 36, 55)])
+        decoys = Decoys(searched, decoy[searched], np.full((20, LINES), 25.0, np.float32))
+        chance, believed = judge_sweep(plan, _fields(u), decoys)
+        assert said in chance.note
+        assert np.count_nonzero(believed[:, 10 : 10 + rows]) > 0.8 * records * rows
+        assert np.count_nonzero(believed) - np.count_nonzero(believed[:, 10 : 10 + rows]) < 0.01 * records * LINES

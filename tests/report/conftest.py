@@ -86,7 +86,7 @@ def make_quality(observations, fit, laser_names):
     )
     tests = tuple(
         ModelTest(name, statistic=100.0, dof=98, p=0.4, p_structure=0.3)
-        for name in ("lens", "board", "table", "axis", "sheet", "halves", "regions", "lines")
+        for name in ("lens", "board", "paper", "table", "axis", "sheet", "halves", "regions", "lines")
     )
     return Quality(
         converged=True,

@@ -128,7 +128,7 @@ def having(calibration, **quality):
 def test_refused_calibrations_say_why(made):
     good = made()
     tests = list(good.quality.verdict.tests)
-    tests[4] = dataclasses.replace(tests[4], p_structure=1e-9, effect_mm=0.75, effect_px=0.02)
+    tests[5] = dataclasses.replace(tests[5], p_structure=1e-9, effect_mm=0.75, effect_px=0.02)
     verdict = dataclasses.replace(good.quality.verdict, usable=False, refused="0.5 mm were asked", tests=tuple(tests))
     page = Document(calibration_page(dataclasses.replace(having(good, verdict=verdict), fit=None)))
     assert page.words["strong"] == ["Good to only 0.80 mm at 2.5 m"]

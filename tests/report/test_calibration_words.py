@@ -117,9 +117,9 @@ class TestHeadline:
         assert {row[6] for row in outcome_rows(noisy)} == {"noisy"}
 
     def test_one_of_many_tests_may_be_a_little_unlikely(self, calibration):
-        """Of eight tests, each may be as unlikely as one in 800 before all together are one in a hundred."""
+        """Of nine tests, each may be as unlikely as one in 900 before all together are one in a hundred."""
         first, *others = calibration.quality.verdict.tests
-        for p, result in ((0.0013, "passes"), (0.0012, "structure")):
+        for p, result in ((0.00112, "passes"), (0.0011, "structure")):
             tests = [replace(first, p_structure=p), *others]
             assert outcome_rows(judged(calibration, tests))[0][6] == result
 

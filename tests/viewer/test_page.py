@@ -433,6 +433,35 @@ def test_bearings_the_surface_and_what_is_saved(opened, room):
     assert opened.complaints() == []
 
 
+def test_heights_angles_areas_and_how_points_are_drawn(opened):
+    for kind, unit in (("height", " mm"), ("angle", "°")):
+        measure_somewhere(opened, kind)
+        assert unit in listed(opened)[-1]
+    opened.click("area")
+    opened.until(lambda: opened.text("message").startswith("Click the corners"))
+    dense = opened.driver.execute_script(DENSE)
+    assert not opened.at("close-outline").is_displayed()
+    for x, y in dense[:: max(1, len(dense) // 8)]:
+        tap(opened, x, y)
+        wait_for_answer(opened)
+        if opened.at("close-outline").is_displayed():
+            break
+    opened.click("close-outline")
+    opened.until(lambda: "m²" in listed(opened)[-1])
+    _, text = saved(opened, "json")
+    assert [one["what"] for one in json.loads(text)["measured"]] == ["height", "angle", "area"]
+    opened.driver.execute_script("for (const one of document.querySelectorAll('details')) one.open = true")
+    slide = """const one = document.getElementById(arguments[0]);
+        one.value = arguments[1];
+        one.dispatchEvent(new Event("input"));"""
+    before = lit(opened)
+    opened.driver.execute_script(slide, "size", 4)
+    opened.until(lambda: lit(opened) > 1.5 * before)
+    opened.driver.execute_script(slide, "budget", 0.1)
+    assert opened.text("budget-words") == "0.1 million"
+    assert opened.complaints() == []
+
+
 def test_a_new_legend_has_no_old_colours_and_asks_for_nothing_that_is_not_there(opened):
     colour_by(opened, "deviation")
     opened.until(lambda: opened.text("message").startswith("Measure the flatness of a place first"))
@@ -494,6 +523,17 @@ def test_a_telephone(looks, url):
     looks.until(lambda: np.ptp(np.nonzero(picture(looks, "cloud")[..., 1] > 40)[1]) > 0.6 * NARROW[0])
     row, column = np.nonzero(picture(looks, "cloud")[..., 1] > 40)
     assert np.percentile(row, 99) < above and 0 < column.min() and column.max() < NARROW[0] - 1
+    # Nothing is wider than the page, whatever is open, chosen or long.
+    looks.driver.execute_script(
+        """for (const one of document.querySelectorAll("[hidden]")) if (one.closest("#panel")) one.hidden = false;
+           for (const one of document.querySelectorAll("details")) one.open = true;
+           for (const one of ["message", "scale-words", "caption"])
+             document.getElementById(one).textContent = "a".repeat(99);"""
+    )
+    across = "return [document.documentElement, document.getElementById('panel')].map((one) => one.scrollWidth)"
+    assert max(looks.driver.execute_script(across)) <= NARROW[0]
+    looks.open(url, NARROW)
+    looks.until(lambda: looks.colours("cloud") > 20)
     looks.click("fold")
     assert looks.driver.execute_script(top) > 0.85 * NARROW[1] and looks.text("message") == "Click a point."
 

@@ -34,7 +34,7 @@ _THUMBNAIL, _WIDE = 240, 960
 
 
 class Captures:
-    """The captures in a folder; whoever made them is a stranger, and so are their names."""
+    """The captures in a folder. Neither their contents nor their names are trusted."""
 
     def __init__(self, folder: Path, fits: Callable[[Calibration], bool] = lambda one: True) -> None:
         """The folder need not exist yet; `fits` says whether a calibration is one of the rig."""
@@ -46,7 +46,7 @@ class Captures:
         """Where a capture of this name is, or would be.
 
         Raises:
-            CaptureError: If it is no name of one.
+            CaptureError: If it is not the name of a capture.
         """
         if not is_name(name):
             raise CaptureError(f"{name}: {NAME_WORDS}")
@@ -74,13 +74,13 @@ class Captures:
 
     def calibration_of(self, digest: str) -> Path | None:
         """The file in the folder or beside it that is the calibration of this digest."""
-        files = (self.folder_of(one) / one["file"] for one in self.calibrations(of_any_rig=True))
-        return next((file for file in files if digest and calibration_digest(file) == digest), None)
+        known = (one for one in self.calibrations(of_any_rig=True) if digest and one["digest"] == digest)
+        return next((self.folder_of(one) / one["file"] for one in known), None)
 
     def calibrations(self, *, of_any_rig: bool = False) -> list[dict[str, Any]]:
         """The calibrations in the folder and beside it that fit the rig, or all of them, the newest first.
 
-        Beside it are those that were made in a terminal. A file with the name of a sweep was not made of it.
+        Those beside it were made in a terminal. A file there that has the name of a sweep was not made from that sweep.
         """
         sweeps = {f"{one['name']}.json" for one in self.listed() if one["kind"] != "calibration"}
         found: dict[str, dict[str, Any]] = {}
@@ -97,21 +97,21 @@ class Captures:
         return sorted(found.values(), key=lambda one: -float(one["changed"]))[:_MOST_CALIBRATIONS]
 
     def _read_anew(self, path: Path, states: Path, read: Callable[[Path], Any]) -> Any:
-        """What `read` finds of a path, which it does again when the file `states` has changed."""
+        """The result of `read` for a path, cached until the file `states` changes."""
         state = _changed(states)
         if path not in self._known or self._known[path][0] != state:
             self._known[path] = (state, read(path))
         return self._known[path][1]
 
     def _calibration(self, path: Path) -> dict[str, Any] | None:
-        """What is known of a calibration; None of another file."""
+        """What is known of a calibration; None for any other file."""
         # Many files end in .json, and some are large.
         with suppress(JaxscanError):
             with open_regular(path, error=CaptureError, limit=_MOST_BYTES, links="refuse") as file:
                 head = file.read(_HEAD)
             if _FORMAT in head:
                 found = api.load_calibration(path)
-                return judged(found) | {"fits": self._fits(found)}
+                return judged(found) | {"fits": self._fits(found), "digest": calibration_digest(path)}
         return None
 
     def delete(self, name: str) -> None:
@@ -211,7 +211,7 @@ def grey_jpeg(frame: np.ndarray, pixel_format: PixelFormat, step: int) -> tuple[
 
 
 def captures_of(provenance: Mapping[str, Any]) -> list[Any]:
-    """Names of the captures of which a calibration was made; a file may say anything."""
+    """Names of the captures that a calibration was made from, as its file states them: unchecked."""
     captures = provenance.get("captures")
     return [one.get("name") for one in captures if isinstance(one, dict)] if isinstance(captures, list) else []
 

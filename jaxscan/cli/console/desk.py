@@ -61,9 +61,9 @@ class Desk:
         self._lock = threading.Lock()
         self._doing = ""
         self._wish: Wish | None = None
-        """What a person who aims wants to see; its exposure serves the sessions after it, too."""
+        """Settings of the live picture while somebody aims; later sessions use its exposure too."""
         self.auto = 0
-        """Looks after which the exposure is still changed by itself."""
+        """Number of looks for which "auto" still changes the exposure."""
 
     # For any thread
 
@@ -173,7 +173,7 @@ class Desk:
                 finished += 1
                 # As the sentence on a fault names it.
                 estop = f": {Fault.EMERGENCY_STOP};" in f"{said} {problem}"
-                # The sentence begins with a capital, or does not. A doubt about the laser stays until the rig is
+                # Match the word with or without its capital. A doubt about the laser stays until the rig is
                 # open again and may let it shine.
                 doubt = UNCONFIRMED[1:] in f"{said} {problem}" or self.slate.read("laser") == "unknown"
                 laser = "unknown" if doubt else "off"
@@ -242,10 +242,9 @@ _AGAIN_S = 0.05
 
 
 class Stopping:
-    """Within `with`, in the main thread, `stop` raises KeyboardInterrupt there while `begin` and `end` allow it.
-
-    Another thread so ends what the main thread does with the rig, at once, as a second Ctrl-C does. The handler stays
-    for the whole time, so that a signal that comes late does nothing.
+    """Within `with`, `stop` raises KeyboardInterrupt in the main thread between `begin` and `end`. So another thread
+    can end at once what the main thread does with the rig, as a second Ctrl-C does. The handler stays for the whole
+    time, so that a signal that comes late does nothing.
     """
 
     def __init__(self) -> None:

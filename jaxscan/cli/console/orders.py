@@ -27,7 +27,7 @@ _FIELDS: dict[str, tuple[str, ...]] = {
     "light": ("on",),
     "expose": ("exposure_ms", "gain_db"),
 }
-"""Orders, and the fields that belong to each; those without a range that are no flags are names."""
+"""Orders, and the fields of each: a range for a number, a type for a flag; the others are names."""
 
 
 class Order(NamedTuple):

@@ -45,7 +45,7 @@ def make_site(address: Address, desk: Desk, works: Works, captures: Captures) ->
         return captures.photograph(asked["name"], int(asked["index"]), lit="lit" in query, small="small" in query)
 
     async def made(request: web.Request) -> web.StreamResponse:
-        """A file that was made of a capture, to be kept: a page of ours does not show it."""
+        """A file that was made of a capture, as a download."""
         try:
             path = captures.made(request.match_info["name"], request.match_info["what"])
         except JaxscanError as problem:
@@ -88,7 +88,7 @@ def _answer(make: Callable[[web.Request], bytes], content_type: str) -> Handler:
 KEY = re.compile(r"[0-9a-f]{32}")
 """A page's own name, which it keeps over a reload."""
 GRACE_S = 4.0
-"""So long the operating page may be gone, as over a reload."""
+"""The operating page may be gone for so long, as during a reload [s]."""
 
 
 @dataclass
@@ -181,7 +181,7 @@ class Hub:
         return socket
 
     async def watch(self, application: web.Application) -> Any:
-        """Ends a session whose page is lost: aiming always, others where the operator chose so."""
+        """Ends a session whose page is lost: aiming always, a scan if the operator chose so."""
         task = asyncio.create_task(self._watch())
         yield
         task.cancel()
@@ -203,7 +203,7 @@ class Hub:
             return
         doing = self._slate.read("doing")
         if doing == "aim":
-            # It serves nobody, and the laser shines.
+            # Aiming without a page serves nobody, and the laser is on.
             says = "The page that operated is lost: the laser goes off, nobody looks at it."
         elif doing != "nothing" and self._slate.read("lost") == "stop":
             says = "The page that operated is lost: paused after this step, as it was chosen."
@@ -214,7 +214,7 @@ class Hub:
         self._roles.lost_since = None
 
     async def _greeted(self, socket: web.WebSocketResponse) -> str | None:
-        """The page's own name, with which it begins; None if it does not."""
+        """The page's own name, which its first message holds; None if that message is something else."""
         try:
             found = json.loads(await asyncio.wait_for(socket.receive_str(), _GREET_S))
         except (TypeError, ValueError, TimeoutError, RecursionError):
@@ -242,13 +242,13 @@ class Hub:
         return page.name == self._roles.operator and page is first
 
     async def _send(self, page: Page) -> None:
-        """Send what has changed until the page goes; one that cannot be told is closed, and comes again."""
+        """Send changes until the page goes. A page that takes none is closed, and connects again."""
         with outlived(self._slate, "what a page is told"):
             await self._send_changes(page)
         await page.socket.close(code=1011, message=b"the page could not be told; it tries again.")
 
     async def _send_changes(self, page: Page) -> None:
-        """What a slow page missed in between it never gets."""
+        """A slow page skips the states in between."""
         state = picture = cloud = chunks = 0
         you: dict[str, Any] = {}
         try:
@@ -297,7 +297,7 @@ class Looks:
         async with self._reading:
             path = self._captures.cloud(name)
             try:
-                # A cloud that was made again is another one.
+                # A cloud that was reconstructed again replaces the one in memory.
                 state = name, os.stat(path).st_mtime_ns
             except OSError as problem:
                 raise CloudError(f"{name}: has no cloud yet; reconstruct it first.") from problem

@@ -34,7 +34,7 @@ if TYPE_CHECKING:
 _GOOD_ENOUGH, _AUTO_STEP, _SHORTEST_MS, _LONGEST_MS = 0.12, 4.0, 0.05, 2000.0
 """How near to the best exposure "auto" ends, its largest step, and its limits."""
 _ENOUGH_PLACEMENTS = 2
-"""Standing places after which a calibration is tried while others follow."""
+"""Number of standing places after which a first calibration is tried during the capture."""
 
 
 class Sessions:
@@ -92,7 +92,7 @@ class Sessions:
 
         rig, order, calibration = running.rig, running.order, self._works.calibration
         plan = ScanPlan.of(rig, boards=False)
-        progress = self._progress(running, plan, by_hand=False)
+        progress = self._progress(running, plan, plan.seconds)
         with ExitStack() as stack:
             live = None if calibration is None else stack.enter_context(self._live(running, plan, calibration))
 
@@ -138,7 +138,7 @@ class Sessions:
         if self._place_command is not None:
             free = rig.calibration.free_views
             command = CommandOperator(self._place_command, free_views=free, console=desk.out)
-        progress = self._progress(running, ScanPlan.of(rig, boards=True), by_hand=command is None)
+        progress = self._progress(running, ScanPlan.of(rig, boards=True))
         guide = make_guide(rig)
 
         def try_calibration(request: "PlacementRequest") -> None:
@@ -167,12 +167,14 @@ class Sessions:
             self._works.carry_out(Order("calibrate", order.name))
         return str(result.message)
 
-    def _progress(self, running: Running, plan: ScanPlan, *, by_hand: bool) -> Callable[[int, int], None]:
-        """Show what is planned; returns the hook that shows how far it is, and how long it still takes."""
+    def _progress(self, running: Running, plan: ScanPlan, seconds: float | None = None) -> Callable[[int, int], None]:
+        """Show what is planned; returns the hook that shows how far it is, and how long it still takes.
+
+        `seconds` is unknown for boards: how long a person or a command takes for a pose shows with the first.
+        """
         for note in plan.notes:
             self._desk.notify(note)
-        # How long a person takes for a pose nobody knows before the first.
-        seconds, remaining = None if by_hand else plan.seconds, Remaining(time.monotonic, from_first=True)
+        remaining = Remaining(time.monotonic, from_first=True)
         work: Sequence[int] = plan.work
         self._slate.write(
             capture=running.order.name, done=0, planned=plan.records, left_s=seconds, needed_bytes=plan.bytes
@@ -227,7 +229,7 @@ class PageOperator:
         while not self._answers.empty():
             # Pressed too early, it would take the board while it is moved to the next pose.
             self._answers.get()
-        # The session has opened the contactor, because somebody is in front of the laser.
+        # The session has cut the laser's power, because somebody is in front of it.
         self._slate.write(doing="placing", placing=asked, laser="off")
         while not self._should_stop():
             self._look(request)

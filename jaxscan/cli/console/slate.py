@@ -19,7 +19,7 @@ _LONGEST = 300
 
 
 class Picture(NamedTuple):
-    """A picture; its version changes as often as it does."""
+    """A picture, and a version that changes with it."""
 
     version: int
     jpeg: bytes
@@ -108,7 +108,7 @@ def one_line(problem: BaseException) -> str:
 
 @contextmanager
 def outlived(slate: Slate, what: str) -> Iterator[None]:
-    """Let a thread outlive any error within `with`: it is logged, and said on the page as long as it is new.
+    """Let a thread outlive any error within `with`: it is logged, and shown on the page once.
 
     Args:
         slate: Where people read it.

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 WIDTH = 960
 _POINTS = 256
 _BINS = 64
-"""Of the histogram of levels: four of 256 levels each."""
+"""Bins of the histogram: each has four of the 256 levels."""
 _BETWEEN_PICTURES_S = 0.25
 
 
@@ -101,9 +101,9 @@ class Painter:
 
 
 SILENT_S = 5.0
-"""So long the rig may leave questions without an answer: a bad cable costs less."""
+"""The rig may be silent for so long [s]; retries over a bad cable take less."""
 STILL_S = 10.0
-"""So long a step may take, or `_SLOWER` times as long as those before it."""
+"""A step may take so long [s], or `_SLOWER` times as long as those before it."""
 _SLOWER, _KEPT = 3.0, 50
 _BETWEEN_LOOKS_S = 0.5
 
@@ -123,7 +123,7 @@ class Silence:
         self._heard_at = now()
         self._picture, self._step_at = slate.picture().version, 0.0
         self._stepping = False
-        """Whether a step has ended since the table found home, which takes as long as it takes."""
+        """Whether a step has ended since homing, whose duration is unknown."""
         self._took: deque[float] = deque(maxlen=_KEPT)
         self._end = threading.Event()
         self._thread = threading.Thread(target=self._watch, name="jaxscan-silence", daemon=True)

@@ -29,7 +29,7 @@ _LINES = 40
 _MOST_SHOWN, _MOST_BYTES = 20, 64 << 20
 _FOUND = ("verdict", "lengths", "advice", "warnings", "missing", "points", "seconds_s", "notes", "errors")
 Then = Callable[[bool, dict[str, Any]], None]
-"""Called after a verb with whether it went well, and its result."""
+"""Called after a verb with its success and its result."""
 
 
 class Work(NamedTuple):
@@ -90,7 +90,8 @@ class Works:
         match order.do:
             case "calibrate":
                 file = captures.calibration(name)
-                self._call_verb("calibrate", name, [path, "-o", str(file)], self._judged(name, file), of=of)
+                judged = self._judged(name, file, so_far=bool(of))
+                self._call_verb("calibrate", name, [path, "-o", str(file)], judged, of=of)
             case "recalibrate":
                 file = captures.path(f"{name}.recalibrated.json")
                 words = [path, "-c", str(self._before(name)), "-o", str(file)]
@@ -122,7 +123,7 @@ class Works:
         return self.calibration
 
     def _before(self, name: str) -> Path:
-        """The calibration in use; of one that this sweep has bettered already, that from which it was made."""
+        """The calibration in use. If this sweep has refined it already, the one before that."""
         file = self._needed()
         while name in captures_of((found := api.load_calibration(file)).provenance):
             origin = found.provenance.get("calibration")
@@ -136,15 +137,18 @@ class Works:
             file = before
         return file
 
-    def _judged(self, name: str, file: Path) -> Then:
-        """What follows a calibration: its verdict is shown, and a good one is used."""
+    def _judged(self, name: str, file: Path, *, so_far: bool = False) -> Then:
+        """What follows a calibration: its verdict is shown, and a good one is used; one of the poses so far takes no
+        other one's place."""
 
         def then(well: bool, result: dict[str, Any]) -> None:
-            if well:
+            if well and so_far and self.calibration not in (None, file):
+                self._slate.write(verdict={"well": True, "so_far": name} | verdict_of(api.load_calibration(file)))
+            elif well:
                 self.take(file)
             elif result:
                 told = {key: result.get(key) for key in ("verdict", "advice", "warnings")}
-                # A recalibration that gained nothing tells lengths in another form.
+                # The JSON of a recalibration that gained nothing has another form.
                 told["lengths"] = [one for one in result.get("lengths") or [] if "what" in one]
                 self._slate.write(verdict={"capture": name, "well": False} | told)
             self.refresh()
@@ -196,7 +200,7 @@ class Works:
     def begin(self, work: Work) -> None:
         """Carry a work out as soon as those before it are done."""
         self._busy += 1
-        # What ended before is no news any more.
+        # Results of works that ended before are dropped.
         self._slate.write(ended="", problem="")
         self._waiting.put(work)
 
@@ -206,7 +210,7 @@ class Works:
             self._shown = [shown, *self._shown][:_MOST_SHOWN]
             self._show()
             self._slate.say(f"{work.what} begins.")
-            # The works after it do not suffer from what happens to one.
+            # An error in one work must not stop those after it.
             with outlived(self._slate, work.what):
                 self._carry_out(work, shown)
             if shown["running"]:

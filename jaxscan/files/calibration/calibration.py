@@ -201,7 +201,7 @@ def _holds_observations(path: Path) -> bool:
 
 
 def _is_observations(path: Path) -> bool:
-    """Whether a file is one of observations; a damaged one is none."""
+    """Whether a file holds observations; False for a damaged file."""
     try:
         return _holds_observations(path)
     except CalibrationError:
@@ -262,7 +262,7 @@ def _digests_of(tables: Mapping[str, Any], observations: Path | None = None) -> 
 
 
 def _values_note(tables: Mapping[str, Any], name: str) -> str:
-    """A sentence if the values of a calibration file are not those that its digest was made of; else "".
+    """A sentence if the values of a calibration file do not match its digest; else "".
 
     A file without a digest, as a person writes it, gives none.
     """
@@ -277,12 +277,12 @@ def _values_note(tables: Mapping[str, Any], name: str) -> str:
 
 
 def _require_own(table: CalibrationTable, path: Path, beside: Path, *, found: bool) -> None:
-    """Refuse observations beside a calibration file with digests that are not its own."""
+    """Refuse observations whose digest the calibration file beside them does not name."""
     digests = table.digests
     if digests is None:
         return
     if digests.observations is None:
-        # A file of something else may lie beside a calibration without observations.
+        # A calibration without observations may have an unrelated file of that name beside it.
         own = not (found and digests.values is not None)
     else:
         own = file_digest(beside, error=CalibrationError) == digests.observations
@@ -342,7 +342,7 @@ def save_calibration(calibration: Calibration, path: str | Path) -> None:
     writers[path] = write_own
     write_together(writers, error=CalibrationError)
     if calibration.observations is None and _is_observations(beside):
-        # They belong to the calibration that was just replaced.
+        # The old observations belong to the calibration that was just replaced.
         beside.unlink()
 
 

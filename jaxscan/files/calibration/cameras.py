@@ -44,14 +44,14 @@ _LENS = frozenset(
 _WIDTH = frozenset("imagewidth width imgwidth camerawidth framewidth imagewidthpx widthpx w".split())
 _HEIGHT = frozenset("imageheight height imgheight cameraheight frameheight imageheightpx heightpx h".split())
 _COLUMNS, _ROWS = frozenset("cols columns imagecols".split()), frozenset("rows imagerows".split())
-"""Stella's and its like; a size below the next is that of a board."""
+"""As stella_vslam writes them. A size under the names of the next line would be that of a board."""
 _SMALLEST_PX = 64
 _SIZE = frozenset("imagesize imgsize resolution imageresolution cameraresolution size origres framesize".split())
 _MODEL = frozenset("distortionmodel distmodel lensmodel lenstype distortiontype projectionmodel".split())
 _CAMERA_MODEL = frozenset("cameramodel model modeltype cameratype".split())
 """Kalibr's and EuRoC's `pinhole` stands beside a model of the distortion."""
 _ELSEWHERE = re.compile(r"board|pattern|chess|checker|charuco|marker|target|grid|roi")
-"""Tables whose width and height are not those of the images."""
+"""Tables with a width and height that are no image's."""
 _FLAG = frozenset(("fisheye", "fisheyemodel", "isfisheye"))
 _PIXELS = {"ppx": "cx", "ppy": "cy", "focallengthx": "fx", "focallengthy": "fy", "skew": "skew", "alphac": "alpha"}
 _PIXELS |= {name: name for name in ("fx", "fy", "cx", "cy")}
@@ -81,7 +81,7 @@ class ReadCamera(NamedTuple):
 
     camera: AbstractCamera
     note: str
-    """Which keys it was made of, and which were not used; empty for a calibration of our own."""
+    """Which keys were used and which were not; empty for a calibration of this library."""
 
 
 def read_camera(
@@ -182,7 +182,7 @@ def _one_line(text: str) -> str:
 
 
 class _Keys:
-    """The values of a file, by what they may mean; each is taken once or named as not used."""
+    """The values of a file by their possible meanings. Each is used once, or named as not used."""
 
     def __init__(self, tree: Tree, name: str) -> None:
         self.name = name
@@ -205,7 +205,7 @@ class _Keys:
         return named[0] if named else None
 
     def side_by_side(self, first: frozenset[str], second: frozenset[str], least: int) -> list[str]:
-        """The keys of two numbers in one table, both at least so large; none where not one pair is there."""
+        """The keys of two numbers in one table, both at least `least`; none where no table has such a pair."""
         keys = [key for key in self._values if self._has(key, 1) and self.numbers(key)[0] >= least]
         pairs = [
             [one, other]
@@ -238,7 +238,7 @@ class _Keys:
         try:
             return len(self.numbers(key)) == count
         except CalibrationError:
-            # What is wrong is said where nothing else has the numbers.
+            # A bad value is an error only where no other key holds the numbers.
             return False
 
     def _is_list(self, key: str) -> bool:
@@ -328,7 +328,7 @@ def _pixels(keys: _Keys) -> tuple[dict[str, float], list[float]]:
     if found.keys() >= {"fx", "fy", "cx", "cy"}:
         found["skew"] = found.get("skew", 0.0) + found.pop("alpha", 0.0) * found["fx"]
         return found, []
-    # A matrix that has another count than nine is shown.
+    # A matrix that does not have nine numbers is shown in the message.
     if (key := keys.of(_MATRIX, "a camera matrix")) is not None:
         _of_matrix(keys.numbers(key), f"{keys.name}: {key}")
     raise CalibrationError(

@@ -66,7 +66,7 @@ class Capture:
 
     @property
     def carries(self) -> Carries | None:
-        """The part that the table carries, "linear" or "nothing"; None if the header does not say."""
+        """What moves: "scanner", "object", "linear" or "nothing"; None if the header does not say."""
         return None if self.header.turntable is None else self.header.turntable.carries
 
     @property
@@ -98,7 +98,7 @@ class Capture:
         """
         return self._angles
 
-    # Kept beside a property: for type checkers a cached property is none, and a capture would be no sweep.
+    # A plain property returns it: type checkers would not match a `cached_property` with that of `SweepSource`.
     @functools.cached_property
     def _angles(self) -> np.ndarray:
         if self.carries == "nothing":

@@ -177,7 +177,8 @@ class TurntableTable(FileModel):
     """The motion between records."""
 
     carries: Carries = "scanner"
-    """A turntable's "scanner", or "object" where the camera stands still; a "linear" stage; or "nothing"."""
+    """What moves: the "scanner" on a turntable, the "object" in front of a fixed camera, a "linear" stage, or
+    "nothing"."""
     angle_sigma_deg: Annotated[Number, pydantic.Field(ge=0, le=45)] | None = None
     """Standard deviation of where a table stops about the angle of its record [deg]; None: learned from boards."""
     position_sigma_mm: Annotated[Number, pydantic.Field(ge=0, lt=1000)] | None = None

@@ -144,7 +144,7 @@ def decode_ahead(
                 future.result()
             del futures
             yield chunk
-            # No more of them are kept than the caller keeps.
+            # The generator itself holds on to no chunk.
             del chunk
     finally:
         pool.shutdown(wait=True, cancel_futures=True)

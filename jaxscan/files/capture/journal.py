@@ -68,7 +68,7 @@ def _with_digests(images: tuple[ImageRef, ...], given: str | list[str] | None) -
     if given is None:
         return images
     texts = ([given] if isinstance(given, str) else given)[: len(images)]
-    # What fits no image is a digest that no image has.
+    # A digest that is not a text matches no image.
     texts += ["none"] * (len(images) - len(texts))
     return tuple(replace(one, sha256=text) for one, text in zip(images, texts, strict=True))
 
@@ -196,7 +196,7 @@ class Journal(NamedTuple):
 
 
 def _digests(given: Any) -> dict[str, Any] | None:
-    """The digests of both sides, and nothing beside them that takes memory; anything else as a short text."""
+    """The digests of both sides. Anything else is cut to a short text, so that it takes no memory."""
     if given is None:
         return None
     sides = given if isinstance(given, dict) else dict.fromkeys(("on", "off"), given)
@@ -311,7 +311,7 @@ def journal_objects(journal: bytes) -> Iterator[tuple[int, dict[str, Any]]]:
         try:
             value = json.loads(line) if line.strip() else None
         except ValueError:
-            value = None  # A torn last line; any other was refused before.
+            value = None  # A torn last line; one in the middle was refused before.
         if isinstance(value, dict):
             yield start, value
         start += len(line) + 1

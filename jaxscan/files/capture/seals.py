@@ -99,7 +99,7 @@ def frame_digest(frame: np.ndarray) -> str:
 
 
 def difference(image: ImageRef, found: str) -> str | None:
-    """How the digest of an image differs from that in its record; None if it does not, or there is none."""
+    """How the digest of an image differs from that in its record; None if they agree or the record has none."""
     if image.sha256 is None:
         return None
     if not re.fullmatch("[0-9a-f]{64}", image.sha256):

@@ -53,7 +53,7 @@ def frames_key(capture: Capture) -> str:
 
 @functools.lru_cache(maxsize=1)
 def code_digest() -> str:
-    """Digest of the code that finds stripes, so that better code never takes the stripes of worse."""
+    """Digest of the code that finds stripes, so that new code never uses stripes of older code."""
     root = Path(str(resources.files("jaxscan")))
     digest = hashlib.sha256()
     for file in sorted(file for room in ("stripes", "reconstruction") for file in (root / room).rglob("*.py")):

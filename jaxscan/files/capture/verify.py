@@ -28,7 +28,7 @@ class Problem:
     """Number of the record that the image belongs to; None for the journal."""
     message: str
     lasting: bool = False
-    """Whether it stays when the capture is resumed; traces of an interruption do not."""
+    """Whether resuming the capture leaves it; traces of an interruption are cleaned up."""
 
     def __str__(self) -> str:
         return self.message if self.record is None else f"record {self.record}: {self.message}"

@@ -283,7 +283,7 @@ def _places_of(order: str, start: int) -> list[int]:
 
 
 def _is_opaque(at: int, extent: Extent) -> bool:
-    """Whether a column behind a colour is what programs write that know how much shines through: 255 throughout."""
+    """Whether a column behind a colour is an alpha channel: 255 throughout."""
     return bool(extent.least[at] == extent.most[at] == 255)
 
 
@@ -314,7 +314,7 @@ class Reach(NamedTuple):
     whole: bool = True
 
     def with_more(self, values: np.ndarray) -> "Reach":
-        """Of these colours and others; those that are no number count as 0."""
+        """The range of these colours and those of `other` together; NaN counts as 0."""
         values = np.nan_to_num(values)
         whole = values.dtype.kind != "f" or bool((values == np.floor(values)).all())
         return Reach(max(self.most, float(values.max(initial=0))), self.whole and whole)
@@ -341,7 +341,7 @@ def range_of(kind: np.dtype, reach: Reach, reading: Reading, *, stated: float | 
     """Find the number of full brightness.
 
     Args:
-        kind: Type of the numbers; one of floating point also where text does not tell.
+        kind: Type of the numbers; a floating-point type where they come from text.
         reach: Of all colours.
         reading: What a person says.
         stated: What the file says.
@@ -369,7 +369,7 @@ def range_of(kind: np.dtype, reach: Reach, reading: Reading, *, stated: float | 
 def as_bytes(values: np.ndarray, brightest: float) -> np.ndarray:
     """Colours in 8 bits; those that are no number are 0."""
     if values.dtype.itemsize == 1 and brightest == 255:
-        # A signed byte is one that a program calls so.
+        # Some programs call unsigned bytes signed.
         return values.view(np.uint8)
     if values.dtype.kind in "iu" and brightest == 65535:
         # Exact for programs that wrote a byte into the upper half, and for those that repeated it.
@@ -420,7 +420,7 @@ def stated_unit(lines: Iterable[str]) -> tuple[Unit | None, str]:
     for line in lines:
         for match in _STATED.finditer(line[:1000]):
             unit = unit_of(match[1])
-            # "in" before a word is no inch.
+            # "in" before another word is the preposition, not inches.
             if unit is not None and not (match[1].lower() == "in" and re.match(r"\s+\w", line[match.end() :])):
                 found.setdefault(unit, line.strip()[:40])
     if len(found) > 1:

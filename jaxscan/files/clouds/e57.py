@@ -150,7 +150,7 @@ class Field(NamedTuple):
     bits: int
     """Bits of a value; 0 where all values are equal, and for texts, which are not read."""
     single: bool | None = None
-    """Whether it is a single or a double; None of a whole number."""
+    """Whether values are singles or doubles; None for whole numbers."""
     least: int = 0
     """The whole number that is stored as 0."""
     scale: float | None = None
@@ -197,7 +197,7 @@ def read_blocks(
 
 
 def _packets(pages: Pages, place: int, columns: int) -> Iterator[list[bytes]]:
-    """The bytes of each column in one packet after the other."""
+    """The bytes of each column, packet by packet."""
     at = without_checksums(place)
     section, length, data = struct.unpack("<B7xQQ8x", pages.read(at, 32))
     if section != _SECTION:
@@ -230,16 +230,16 @@ class _Column:
 
     @property
     def whole(self) -> float:
-        """Number of values that are there."""
+        """Number of values that can be decoded."""
         return float(8 * len(self._held) // self._field.bits) if self._field.bits else math.inf
 
     def hold(self, data: bytes, left: int) -> None:
-        """Keep the bytes of a packet, except what is more than the points that are left."""
+        """Keep the bytes of a packet, but no more than the remaining points need."""
         if self.whole < left:
             self._held += data
 
     def take(self, count: int) -> np.ndarray:
-        """The next values: eight of them always end with a byte, and only the last block has another number."""
+        """The next values. Eight values always end on a byte; only the last block may hold another number of them."""
         used = (count * self._field.bits + 7) // 8
         found = _decoded(self._field, self._held[:used], count)
         del self._held[:used]
@@ -316,7 +316,7 @@ class Surroundings(NamedTuple):
 # the network, and cannot be interrupted meanwhile.
 
 MAX_XML_BYTES = 1 << 24
-"""Of 1024 scans with their pictures, or of 64 stations that each name all others."""
+"""Enough for 1024 scans with pictures, or for 64 stations that each name all others."""
 MAX_SCANS = 1024
 _SINGLE_M = 128.0
 """Coordinates up to which a single is good to 8 um."""
@@ -448,7 +448,7 @@ class _StoredScan:
         self._cartesian = _CARTESIAN.keys() <= names.keys()
         if not (self._cartesian or _SPHERICAL.keys() <= names.keys()):
             raise CloudError("the points have no x, y and z.")
-        # Where both are there, the state of the one is not that of the other.
+        # A file may hold both; the state of one says nothing of the other.
         known = {name: column for name, column in (COLUMNS | _OWN_COLUMNS).items() if name not in _CARTESIAN}
         known = (_CARTESIAN if self._cartesian else _SPHERICAL) | known | {_STATES[not self._cartesian]: "invalid"}
         self._numbers = {column: names[name] for name, column in known.items() if name in names}
@@ -666,7 +666,7 @@ def _columns(cloud: PointCloud, profile: np.ndarray | None, station: int) -> Ite
         if profile is not None:
             values |= {"profile": profile[points.step], "station": np.full(len(points.step), station)}
         kept = set(known_names(values, cloud))
-        # It takes no room in the file; some readers ask for it.
+        # A constant column takes no room in the file, and some readers require it.
         block: dict[str, np.ndarray] = {"cartesianInvalidState": np.zeros(len(points.step), np.longlong)}
         for key, name in named.items():
             if name in kept:

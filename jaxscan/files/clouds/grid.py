@@ -90,7 +90,7 @@ def cloud_of(points: Records, lines: Sequence[str], *, profiles: np.ndarray | No
         return _organised(points, lines, profiles, joined=version == JOINED_FORMAT)
     if not version and smoothed and names >= set(_REGAINED) and (grid := _regained_grid(points)):
         return on_grid(points, grid)
-    # Of ours, a column is lost; of others, these columns make them ours.
+    # A file of this library has lost a column; in files of other programs these columns give the grid.
     cloud = _unorganised(points, ours=bool(version) or bool(names & set(SMOOTHED)), lacks=stated)
     placed = [line for line in lines if line.startswith("station")] if version == JOINED_FORMAT else []
     if not placed or "station 1" in " ".join(line[:9] for line in placed):
@@ -253,12 +253,12 @@ def _coordinates(points: Records) -> type:
 def _unorganised(points: Records, *, ours: bool, lacks: tuple[str, ...] = ()) -> PointCloud:
     """The points as a single profile; fields that they lack are zero, and listed as `absent`."""
     names, kind = points.names, _coordinates(points)
-    # Without the grid nobody knows which points share their noise: each claims the sigma of its own row.
+    # Without the grid it is unknown which points share their noise, so each has the sigma of its own row.
     own = "sigma_row" if "sigma_row" in names else "sigma_random"
     shared = own == "sigma_random" and set(SMOOTHED) & names
-    # Ours have all. With one lost another would be taken for all of the uncertainty.
+    # Files of this library have all sigmas. If one is missing, another would pass for the whole uncertainty.
     lost = ours and bool(shared or not {"sigma_random", "sigma_systematic"} - set(lacks) <= names)
-    # A part of a normal is another direction.
+    # A normal that lacks a component would point elsewhere.
     used = {name: name for part in (_COLOURS, _NORMALS) if set(part) <= names for name in part}
     used |= {"x": "x", "y": "y", "z": "z", "intensity": "intensity"}
     used |= {} if lost else {"sigma_random": own, "sigma_systematic": "sigma_systematic"}

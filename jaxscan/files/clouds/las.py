@@ -47,7 +47,7 @@ MAX_EXPANSION = 64
 _SMALL = 1 << 20
 _LAYERED = 3
 _LAYERS = {10: 9, 11: 1, 12: 2, 13: 1}
-"""Layers of an item by its type: points, colours, colours with infrared, waves. Type 14 has one a byte."""
+"""Layers of an item by its type: points, colours, colours with infrared, waves. Type 14 has a layer for each byte."""
 
 
 class Sizes(NamedTuple):
@@ -84,7 +84,7 @@ def check_compressed(file: BinaryIO, sizes: Sizes, size: int) -> None:
     layers = _layers(file, sizes)
     at = sizes.offset + 8
     while layers and at < table:
-        # A part has a point as it is, its number of points, the length of each layer, and the layers.
+        # A chunk holds its first point uncompressed, its number of points, the length of each layer, and the layers.
         at += sizes.point_bytes + 4
         at += 4 * layers + sum(struct.unpack(f"<{layers}I", _bytes_at(file, at, 4 * layers)))
         if at > table:
@@ -92,7 +92,7 @@ def check_compressed(file: BinaryIO, sizes: Sizes, size: int) -> None:
 
 
 def _layers(file: BinaryIO, sizes: Sizes) -> int:
-    """How many layers a part of the points has; 0 where they are not in layers."""
+    """How many layers a chunk of points has; 0 for formats without layers."""
     at = sizes.head
     for _ in range(sizes.records):
         user, number, length = struct.unpack("<2x16sHH32x", _bytes_at(file, at, 54))
@@ -403,7 +403,7 @@ def _placed(cloud: PointCloud) -> tuple[np.ndarray, np.ndarray]:
     lowest, highest = ends[:, 0].min(0), ends[:, 1].max(0)
     if max(np.abs(lowest).max(), np.abs(highest).max()) <= SCALE_M * _STEPS:
         return np.zeros(3), np.full(3, SCALE_M)
-    # Whole metres, so that the offset itself is exact. One metre is left for its rounding.
+    # The offset is in whole metres, so it is exact. One metre is left for this rounding.
     offset = np.round(lowest / 2 + highest / 2)
     reach = float((highest / 2 - lowest / 2).max()) + 1.0
     scale = SCALE_M if reach <= SCALE_M * _STEPS else COARSEST_M

@@ -52,7 +52,7 @@ def unpack(packed: bytes, size: int) -> bytes:
             length += 2
             if start < 0:
                 raise ValueError("a repetition begins before the data")
-            # What is repeated may reach into its own repetition.
+            # A repeated run may overlap its own output.
             piece = out[start : start + length]
             out += (piece * (length // len(piece) + 1))[:length]
     except IndexError as problem:
@@ -171,7 +171,7 @@ def _reading(file: BinaryIO, header: _Header) -> Callable[[], Iterator[np.ndarra
                 block = np.fromfile(file, dtype, some)
             if len(block) != some:
                 raise short
-            # Others are cells of the grid without a point.
+            # The rest are cells of the grid without a point.
             finite = np.isfinite(block["x"]) & np.isfinite(block["y"]) & np.isfinite(block["z"])
             yield _unpacked_colours(block[finite])
 

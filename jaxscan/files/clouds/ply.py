@@ -130,7 +130,7 @@ def _read_tables(file: BinaryIO, header: _Header) -> tuple[Records, np.ndarray |
             profiles = np.concatenate([np.empty(0, element.dtype), *_blocks(file, element, text)])
         else:
             _pass_over(file, element, text)
-    # The length of a list is in the list alone; without lists the header says where the file ends.
+    # Only the list itself says how long it is; without lists the header tells the size of the file.
     if not any(element.has_lists for element in header.elements) and _has_more(file):
         raise CloudError("the file goes on after the data that its header announces; it is damaged.")
     if vertices is None:
@@ -275,7 +275,7 @@ def _walk(data: bytes, element: _Element, most: int) -> tuple[np.ndarray, int, i
     return np.array(places, np.int64).reshape(len(places), width), used, at - used
 
 
-# Int, not ushort, which Open3D's reader skips; the angle in double and the record are in the profiles.
+# Int, because Open3D's reader skips ushort. The profiles hold the record, and the angle as a double.
 VERTEX = np.dtype(
     [(name, "<f4" if name == "angle" else POINT[name].str) for name in POINT.names or () if name != "record"]
 )

@@ -77,7 +77,7 @@ PARTS = {
     "sigma_systematic": ("sigma_systematic", "sigma"),
     "grid": ("step", "row", "laser", "angle", "record"),
 }
-"""Columns that a file does not have where its cloud lacks something, by their names in all formats."""
+"""Columns that a file leaves out if its cloud lacks their field; the names are those of all formats."""
 
 
 def known_names(names: Iterable[str], cloud: PointCloud) -> list[str]:
@@ -87,7 +87,7 @@ def known_names(names: Iterable[str], cloud: PointCloud) -> list[str]:
 
 
 def smoothed_names(cloud: PointCloud | CloudPoints) -> tuple[str, ...]:
-    """Names of the fields that a cloud has because its points use their neighbours; none where they do not."""
+    """Names of the fields that only a smoothed cloud has; empty for other clouds."""
     return tuple(name for name in SMOOTHED if getattr(cloud, name) is not None)
 
 

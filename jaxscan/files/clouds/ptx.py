@@ -51,14 +51,14 @@ def read_ptx(file: BinaryIO, reading: Reading) -> StoredCloud:
     blocks = _read_blocks(file, usual)
     reaches = [block.reach for block in blocks if block.reach is not None]
     reach = Reach(max((one.most for one in reaches), default=0.0), all(one.whole for one in reaches))
-    # Text holds singles and numbers of 16 bits too, though no scanner's own program writes them.
+    # The text may also hold floats and 16-bit numbers, though scanners do not write them.
     found = range_of(np.dtype("f8"), reach, reading)
     if found.brightest != usual and not (reach.whole and reach.most <= 1):
         file.seek(0)
         blocks = _read_blocks(file, found.brightest)
     if not any(block.parts for block in blocks):
         raise CloudError("holds no points.")
-    # One half is what scanners write that do not measure the intensity.
+    # Scanners that do not measure intensity write 0.5.
     bright = any((part["intensity"] != _NO_INTENSITY).any() for block in blocks for part in block.parts)
     left = (() if bright else ("intensity",)) + (() if reaches and found.brightest else COLOURS)
     columns = f"{', '.join(name for name in _COLUMNS if name not in left)} by the format"

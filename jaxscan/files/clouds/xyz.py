@@ -129,7 +129,7 @@ def _dialect_of(lines: list[str]) -> _Dialect:
             separator = ","
     cells = [cell.strip().strip("\"'") for line in lines for cell in line.strip().split(separator)]
     if separator == "," and _BETWEEN.search(text) and _WITHIN.search(text):
-        # A blank follows those between columns, and none those within numbers.
+        # A comma between columns is followed by a blank, one within a number is not.
         if all(_COMMA_NUMBER.match(cell) for line in lines for cell in line.strip().split(", ")):
             return _Dialect(", ", comma=True)
     if separator == ",":
@@ -279,7 +279,7 @@ def _titles_of(before: list[str], dialect: _Dialect, width: int) -> tuple[tuple[
 
 
 def _with_blanks(words: list[str], width: int, line: str) -> list[str]:
-    """Names of which some have blanks: those at both ends that are known, and one without a name between."""
+    """Columns whose names contain blanks: known names at both ends, and one unnamed column between them."""
     left = len(list(itertools.takewhile(is_known, words)))
     right = len(list(itertools.takewhile(is_known, reversed(words[left:]))))
     if len(words) < width or left + right > width or left < 3:

@@ -37,7 +37,7 @@ Part = NewType("Part", Path)
 """A partial file or folder, made here under a name of its own: it may be opened for writing by any library."""
 
 _held: dict[Path, tuple[int, int | None]] = {}
-"""The process that made each partial file or folder, for a forked one has made none, and the handle with its lock."""
+"""For each partial file or folder the process that made it, as a forked child made none, and the handle of its lock."""
 _cleared: set[Path] = set()
 """Folders from which this process has removed stale ones: once, for a capture writes thousands of files."""
 
@@ -107,7 +107,7 @@ def _lock_new(folder: Path, suffix: str, make: Callable[[Path], int | None]) -> 
     tries = 0
     while True:
         part = folder / f".part-{secrets.token_hex(_DIGITS)}{suffix}"
-        # Noted first: a signal may come as soon as it exists.
+        # Registered before it is made: a signal may come as soon as it exists.
         _held[part] = os.getpid(), None
         try:
             handle = make(part)
@@ -221,7 +221,7 @@ def whole_folder(target: str | Path, *, durable: bool = True) -> Iterator[Part]:
     above = target
     while not os.path.isdir(above):
         above = above.parent
-    # In the folder itself where there is one, which may be a disk of its own.
+    # Inside the folder where it exists already, since it may be on another disk.
     with partial_folder(above / "folder") as part:
         yield part
         files = sorted(Path(place, name) for place, _, names in os.walk(part) for name in names)

@@ -158,7 +158,7 @@ MAX_TABLES = 30_000
 _HEAD = re.compile(r"^[ \t]*+\[", re.MULTILINE)
 
 # Comments and texts of many lines are passed over; then a key, or another word, with its dotted parts. Nothing is
-# tried twice, so the time is in proportion to the length. Behind the first error of syntax nothing matters.
+# tried twice, so the time is in proportion to the length. What follows the first syntax error does not matter.
 _PART = r"""(?:"(?:[^"\\\n]++|\\.?)*+(?:"|$)|'[^'\n]*+(?:'|$)|[A-Za-z0-9_-]++)"""
 _DOT = r"[ \t]*+\.[ \t]*+"
 _KEYS = re.compile(

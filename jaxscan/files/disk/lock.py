@@ -20,7 +20,7 @@ except ImportError:  # Not on Windows; there the file's content alone decides.
     fcntl = None  # type: ignore[assignment]
 
 _MAX_BYTES = 4096
-# Ours, or the beginning of one whose writer died; a text of somebody else, as by another name of his file, is no lock.
+# A lock of this library, perhaps cut off because its writer died. Any other text is someone's own file, not a lock.
 _OURS = re.compile(rb"([{][^\n]*|\[\]|[0-9]+ on [^\n]*\n?)?\0*")
 _NO_LOCKS = {errno.ENOLCK, errno.EOPNOTSUPP, errno.ENOSYS, errno.EINVAL}
 

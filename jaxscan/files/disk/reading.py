@@ -52,7 +52,7 @@ def open_regular(
             raise error(f"{path}: found a link, expected the file itself; copy it there.") from problem
         raise error(f"{shown(path)}: cannot be read: {getattr(problem, 'strerror', None) or problem}.") from problem
     try:
-        # Looked at after opening, so that nobody can exchange the file in between.
+        # Checked after opening, so that the file cannot be exchanged in between.
         status = os.fstat(handle)
         if not stat.S_ISREG(status.st_mode):
             found = "a folder" if stat.S_ISDIR(status.st_mode) else "a device or pipe"
@@ -78,7 +78,7 @@ def read_bounded(path: str | Path, limit: int, *, error: type[JaxscanError], lin
     """
     with open_regular(path, error=error, limit=limit, links=links) as file:
         try:
-            # As large as it is now: a journal may grow, and Python allocates all that is asked for.
+            # Read only its present size: a journal may grow, and Python allocates the full limit at once.
             return file.read(os.fstat(file.fileno()).st_size)
         except OSError as problem:
             raise error(f"{path}: cannot be read: {problem.strerror or problem}.") from problem

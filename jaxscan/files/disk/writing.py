@@ -44,7 +44,7 @@ def open_to_write(path: str | Path, how: Opened, *, mode: int = 0o666) -> io.Fil
             raise OSError(errno.ELOOP, _LINK, str(path)) from problem
         raise
     try:
-        # Looked at after opening, so that nobody can exchange it in between.
+        # Checked after opening, so that it cannot be exchanged in between.
         if not stat.S_ISREG(os.fstat(handle).st_mode):
             raise OSError(errno.EINVAL, "found a device or pipe, expected a file", str(path))
         return io.FileIO(handle, text)

@@ -79,7 +79,7 @@ def parse_xml(data: bytes, *, name: str, error: type[JaxscanError], limit: int =
 
 
 class _Builder:
-    """Builds the tree of one document as expat comes along its tags."""
+    """Builds the tree of one document from expat's events."""
 
     def __init__(self, refuse: Any) -> None:
         self._refuse, self._count = refuse, 0

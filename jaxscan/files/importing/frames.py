@@ -26,7 +26,7 @@ class Depth(NamedTuple):
     """The samples of a camera in images of 16 bits."""
 
     bits: int
-    """Bits of the camera's samples: 8, or one of `DEEP_BITS`."""
+    """Bits of a sample of the camera: 8, or one of `DEEP_BITS`."""
     step: int
     """Distance of its levels in the images: more than 1 where they stand at the top of the 16 bits."""
     said: str
@@ -91,7 +91,7 @@ class FrameReader:
     """Reads the images of a plan; a context manager."""
 
     def __init__(self, folder: Path, kind: FrameKind | None = None) -> None:
-        """`kind` is that of the images, where it is known."""
+        """`kind` is the kind of the images, if it is known already."""
         self._folder = Path(os.path.abspath(folder))
         self._videos: dict[str, Video] = {}
         self._last: dict[str, tuple[int | None, np.ndarray]] = {}

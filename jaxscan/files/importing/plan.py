@@ -62,7 +62,7 @@ def pair(
     for name, steps in lasers[1:]:
         ordered.append((name, _follow(first, steps, (lasers[0][0] or "laser on", name or "laser on"), said)))
     if dark:
-        # One laser-off image for a whole sweep is one that was taken once.
+        # One laser-off image for a whole sweep serves every step.
         if len(dark) == 1 and len(first) > 1:
             said.append(f"{dark[0][0].name} serves as the laser-off image of all {len(first)} steps")
             dark = dark * len(first)
@@ -152,12 +152,12 @@ def _pace(numbers: Sequence[int]) -> int | None:
     clock = [_seconds(number) for number in numbers]
     if all(second is not None for second in clock):
         lengths = [int(after or 0) - int(before or 0) for before, after in itertools.pairwise(clock)]
-        # Across a minute a clock leaps by 41 where the numbers of steps would go on.
+        # At the end of a minute a clock, read as a number, leaps by 41 and more; numbers of steps do not.
         if lengths != gaps and max(lengths) - min(lengths) < max(gaps) - min(gaps):
             return None
     pace = math.gcd(*gaps)
     missing = sum(gaps) // pace - len(gaps)
-    # Steps have their pace somewhere; times have it nowhere.
+    # Numbers of steps differ by the same amount at least somewhere; times do not.
     return pace if pace in gaps or 2 * missing <= len(numbers) else None
 
 

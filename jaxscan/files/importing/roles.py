@@ -140,7 +140,7 @@ def _in_rows(files: Sequence[Matched], refused_in: Path | None) -> list[str]:
     """A question where the images of one laser are several rows, in folders or by their names: several scans?"""
     inside: dict[str, list[str]] = {}
     for file in files:
-        # Of `monday/laser_3.png` and `scan1_laser_3.png` the row is all but the last number.
+        # The row is the name without its last number: `monday/laser_` of `monday/laser_3.png`.
         row = re.sub(r"[0-9]+(?=[^0-9/]*$)", "*", file.name)
         inside.setdefault(row, []).append(re.sub(r".*?([0-9]*)[^0-9/]*$", r"\1", file.name))
     # One image in each row is a layout of steps.
@@ -219,7 +219,7 @@ def _with_frames(folder: Path, roles: Roles, every: int) -> Roles:
 
 
 def _frames_said(name: str, found: int, announced: int) -> str:
-    # Some recorders count frames that they dropped, and a length in time is only an estimate: no reason to refuse.
+    # Not an error: some recorders count dropped frames, and a duration gives only an estimate.
     doubt = f", but says of itself that it has {announced}: look whether some are missing" if found < announced else ""
     return f"{name} has {found} frames{doubt}"
 

@@ -174,7 +174,7 @@ def _shard_name(side: str, number: int) -> str:
 
 
 def _last_shard(folder: Path) -> int:
-    """The largest number that a shard has; -1 without any."""
+    """The largest number of a shard; -1 if there is none."""
     names = os.listdir(folder) if os.path.isdir(folder) else []
     found = (re.fullmatch(r"([0-9]{6,9})\.npy", name) for name in names)
     return max((int(match[1]) for match in found if match), default=-1)

@@ -74,7 +74,7 @@ class GivenFrame(NamedTuple):
     """A frame, checked and copied."""
 
     images: list[np.ndarray]
-    """Copies: the caller may reuse its buffers while threads still encode."""
+    """Copies, since the caller may reuse its buffers while threads still encode."""
     entry: Any
     """Its entry in the record, without the names of the files; None without a frame."""
     levels: list[float]

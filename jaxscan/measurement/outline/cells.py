@@ -25,9 +25,9 @@ UNSEEN = 0.3
 BORDER_M = 0.5
 """Cost of a metre of border without a wall, as the area that costs as much [m^2 / m]."""
 WALLED = 0.04
-"""The part of it that border along a wall costs too, so that walls within a room are no border [1]."""
+"""Share of that cost which border along a wall has, too, so that walls within a room are not taken for borders [1]."""
 STRETCH_M = 0.2
-"""Length of wall that is seen or not [m]."""
+"""Length of a stretch of wall that counts as seen or unseen as a whole [m]."""
 STOREYS = 4
 """Heights, 0.1 m apart, at which a stretch of wall has points."""
 NEAR_M = 0.03
@@ -132,7 +132,7 @@ def _free(samples: Samples, low: np.ndarray, squares: tuple[int, int]) -> np.nda
     start, end = samples.origin[some, :2], samples.p[some, :2]
     reach = np.linalg.norm(end - start, axis=1)
     free = np.zeros(squares, bool)
-    # To just before the surface, which is itself not free.
+    # Rays end just before the surface, which is itself not free.
     for step in np.arange(0.5, np.ceil(reach.max() / GRID_M)) * GRID_M:
         going = reach > step + 0.5 * GRID_M
         at = start[going] + (end[going] - start[going]) * (step / reach[going])[:, None]

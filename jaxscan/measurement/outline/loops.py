@@ -58,7 +58,7 @@ def _following(
     near = [other for other in sorted(left) if np.linalg.norm(ends[other][0] - at) < SAME_M]
     if not near:
         return None
-    # Where two corners of the inside touch, the sharpest turn to the left stays at one of them.
+    # Where the inside touches itself at a corner, the sharpest turn to the left keeps the two corners apart.
     return max(near, key=lambda other: _turn(ends[index], ends[other]))
 
 

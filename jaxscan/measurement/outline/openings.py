@@ -173,7 +173,7 @@ def _face(rays: _Rays, surface: Surface, start: np.ndarray, end: np.ndarray, top
     if not on.any():
         return None
     quads = Quads(rays.quads.corners[whole])
-    # A metre more above and below: where rays meet the plane there too, what is missing between was looked at.
+    # A metre more above and below: if rays meet the plane there too, gaps between were within the field of view.
     beyond = round(1.0 / PIXEL_M)
     shape = (max(1, round(top / PIXEL_M)) + 2 * beyond, max(1, round(length / PIXEL_M)))
     raster = rasterise(quads, place / PIXEL_M - 0.5 + [0, beyond], shape)
@@ -189,7 +189,7 @@ def _face(rays: _Rays, surface: Surface, start: np.ndarray, end: np.ndarray, top
     between = rasterise(wide, place / PIXEL_M - 0.5 + [0, beyond], shape).nearest(wide) >= 0
     state = np.where((cell < 0) & ~between & above & below, EMPTY, state)
     inner = slice(beyond, shape[0] - beyond)
-    # What stands out is where its points are, and not where its rays would have met the wall.
+    # Things that stand out are placed at their points, not where their rays would have met the wall.
     foot = np.stack([(rays.p - start) @ along, rays.p[:, 2]], 1)
     place = np.where((states == PANEL)[:, None], foot, place)
     return _Face(state[inner], cell[inner], place, depth, np.median(size[on], axis=0))
@@ -257,7 +257,8 @@ def _end(face: _Face, mask: np.ndarray, box: tuple[slice, slice], axis: int, sig
 
 
 def difference(second: Estimate, first: Estimate) -> Estimate:
-    """From one place along a wall to another: their systematic parts have one cause, their random ones do not."""
+    """Distance between two places along a wall: systematic parts have one cause and add up, random parts are
+    independent."""
     random = float(np.hypot(first.sigma_random, second.sigma_random))
     systematic = abs(second.sigma_systematic - first.sigma_systematic)
     return Estimate(second.value - first.value, float(np.hypot(random, systematic)), random, systematic)

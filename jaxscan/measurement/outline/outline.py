@@ -33,7 +33,7 @@ EXTENDED_M = 1.0
 REACH_M = 0.3
 """Points farther than this from a plane are not looked at [m]."""
 LOOKED_AT = 100_000
-"""Most points of which the outline must hold most."""
+"""Number of points that the outline is tested with."""
 SHEETS = 2
 """A profile and the one opposite to it lie on a plane, which is no wall."""
 
@@ -274,7 +274,7 @@ class _Around(NamedTuple):
     walls: list[Plane]
     heights: tuple[float, float]
     remarks: list[str]
-    """What contradicts a wall is added here."""
+    """Contradictions to walls are appended here."""
 
     def side(self, name: str, edge: Edge, rng: np.random.Generator) -> Side:
         """The wall along an edge, fitted to its own points."""

@@ -17,7 +17,7 @@ _MIN_LINES = 8
 _WIDTHS, _MIN_HALF, _MAX_HALF = 3.2, 5, 16
 # Part of the lines, at least, that the picture of the board must explain.
 _LEAST_EXPLAINED = 0.7
-# A view that is more blurred than this is not of the model [px].
+# The model does not hold for a view with more blur than this [px].
 _MOST_BLUR_PX = 1.5
 # Share of the lines on which the stripe is clipped within so many widths of its centre, at most: flanks alone do not
 # show the profile of a sheet, and other channels may see it whole.
@@ -27,7 +27,7 @@ _SURE = 2.5
 # Chi-squared over the median from which a line does not follow the model, and the distance that a fit may move a
 # centre [px]: such lines are left out.
 _ODD_CHI2, _MOVED_PX = 4.0, 1.5
-# A centre that is known so badly says nothing [px].
+# Centres with a larger standard deviation are dropped [px].
 _MAX_SIGMA_PX = 1.0
 # Range of the print within 4 px, of paper and ink, from which an edge is weak, and strong.
 _WEAK, _STRONG = 0.1, 0.5
@@ -88,7 +88,7 @@ def _contrast_class(contrast: np.ndarray) -> np.ndarray:
 def _placed(
     stripe: FoundStripe, line: np.ndarray, good: np.ndarray, found: tuple[np.ndarray, np.ndarray, np.ndarray]
 ) -> FoundStripe:
-    """The stripe with new values on some lines, and none on the others."""
+    """The stripe with new values on some lines; the others become invalid."""
     u, sigma, contrast = (np.zeros(len(stripe.u), part.dtype) for part in found)
     valid = np.zeros(len(stripe.u), bool)
     u[line], sigma[line], contrast[line], valid[line] = *found, good

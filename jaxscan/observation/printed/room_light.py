@@ -19,11 +19,11 @@ _INK = 0.12
 _STEP = 0.05
 # Light of the room from which the print's colours can be told [DN].
 _LEAST_LIGHT_DN = 1.0
-# Its standard deviations from which the print's brightness is told from none; information that keeps the fit of
-# columns that are alike finite [1 / DN^2].
+# Significance at which the print's brightness is accepted, in its standard deviations; information that keeps the fit
+# of columns that are alike finite [1 / DN^2].
 _SIGNIFICANT, _RIDGE = 4.0, 1e-6
 _LARGEST_STEP = 0.3
-# Residuals beyond so many standard deviations count a little only.
+# Residuals beyond so many standard deviations get little weight.
 _ODD, _ODD_WEIGHT = 5.0, 0.04
 # Light of a line that neither the print nor noise explains, over that of the print: at most, round by round. A hand, a
 # frame round the board or a reflection is more. In the first rounds the print stays where it is predicted, so that such

@@ -25,7 +25,7 @@ from jaxscan.observation import Observations
 from jaxscan.recalibration.adjust.room import Room
 
 
-# Unknowns beside the scanner's that boards have; the size of the squares is as the board's maker says.
+# Unknowns of the boards beside the scanner's; the squares have their nominal size.
 _FREE = ("warp",)
 
 
@@ -33,7 +33,7 @@ class BoardEquations(NamedTuple):
     """Linear equations in a step of the scanner from the one that the boards were seen with."""
 
     rows: Float[np.ndarray, "params params"]
-    """In standard deviations; 0 where boards say nothing."""
+    """Right-hand side, in standard deviations; 0 for directions without information from boards."""
     value: Float[np.ndarray, " params"]
     result: Adjustment
 

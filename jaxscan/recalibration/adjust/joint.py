@@ -48,11 +48,11 @@ _MAX_STEPS = 40
 _ROUGH, _FINE = 1e-3, 1e-6
 _ROBUST_ROUNDS, _REJECTION_ROUNDS = 6, 8
 _REJECT_ANY, _REJECT_ALL = 5.0, 4.0
-# Share by which the noise may still change in the last round, and a station of its standard deviation in the last step.
+# Convergence: the relative change of the noise in the last round, and of a station over its sigma in the last step.
 _SETTLED = 0.01
 # The problem is nearly linear beside the minimum of plain least squares; less so where a station can slide along walls.
 _SHAPE_STEPS = 16
-# Parts of such a step that are tried.
+# Shares of such a step that are tried.
 _PARTS = 0.5 ** np.arange(5)
 # Share by which the sum of squares may rise in such a step, by rounding.
 _RISE = 1e-9
@@ -147,7 +147,7 @@ class State:
 
     @cached_property
     def shaped(self) -> tuple[Arrow, float]:
-        """Normal equations in which walls have a shape, and how much less their sum of squares is."""
+        """Normal equations in which walls have a shape, and by how much that lowers the sum of squares."""
         arrow = self.linearised.arrow
         return with_shape(arrow, self.walls, self.heights) if self.heights.any() else (arrow, 0.0)
 
@@ -321,15 +321,15 @@ def _shaped(state: State, settings: RecalibrationSettings) -> State:
     """Generalised least squares, in which walls have a shape of the size that the residuals show."""
     if not state.kept.any():
         return state
-    # Features see stops better than walls do.
+    # Features tell the stops of the table better than walls do.
     stop_sigma = state.stop_sigma if state.prepared.angles.unknown else settings.angle_sigma
     heights = learn_heights(state.walls, state.plain_covariance, stop_sigma)
     if heights[STOPS]:
-        # Stops were taken for noise of the points.
+        # The noise of the points still contains the stops.
         state = replace(state, noise=_learned_noise(state, float(heights[STOPS])))
-    # Roughness was learned with the shape in it.
+    # The roughness still contains the shape.
     wall = float(np.sqrt(max(state.noise.wall_m**2 - np.sum(heights[:STOPS] ** 2), 0.0)))
-    # Beside the shape neighbouring profiles say some of it twice.
+    # Errors that the shape explains would count twice, as errors that neighbouring profiles share.
     points, kept = state.observations.points, state.kept
     grid = np.stack([points.sweep, points.surface, points.record, points.line], 1)[kept]
     shared = np.sqrt(shared_by_profiles(beside_shape(state.whitened(), state.walls, heights)[kept], grid))
@@ -358,7 +358,7 @@ def _stepped(state: State, step: Unknowns) -> State | None:
         if not all(np.isfinite(numbers).all() for numbers in y):
             break
         after = replace(_moved(state, state.prepared, y), steps=state.steps + 1)
-        # Written so that a sum which is no number is no improvement either.
+        # Written so that NaN does not count as an improvement.
         if after.cost <= (1.0 + _RISE) * state.cost:
             return after
     return None
@@ -413,7 +413,7 @@ def _learned_noise(state: State, stop_sigma: float = 0.0) -> Noise:
 
 
 def _robust_noise_of(state: State) -> Noise:
-    """The noise by the median, with the shares that it has: outliers are still in."""
+    """The noise by the median of the errors, since outliers are still in, with its learned proportions."""
     if not state.usable.any():
         return state.noise
     size = robust_noise(state.whitened()[state.usable])

@@ -13,7 +13,7 @@ _LEAST, _MOST = 0.3, 5.0
 _ROUNDS = 20
 # Neighbours that share errors are at most so many profiles and lines apart.
 _NEAR_PROFILES, _NEAR_LINES = 3, 3
-# A sum of products is believed if it is so many of its own standard deviations.
+# A correlation counts if it is so many of its own standard deviations.
 _CERTAIN = 2.5
 
 

@@ -23,7 +23,7 @@ _POINTS = (1_000, 5_000, 10_000, 20_000, 40_000, 80_000, 160_000)
 _SURFACES = (8, 32, 128, 512)
 _SIGHTINGS = (0, 1_000, 5_000, 20_000, 80_000)
 _TRACKS = (0, 256, 1_024, 4_096)
-# Accuracy of a full turn of a gear without slip [1].
+# Relative sigma of the gain of a table whose gear has no slip [1].
 _CLOSED = 5e-6
 # A held gain that is farther from 1 than this many of them contradicts it.
 _CONTRADICTS = 5.0
@@ -55,7 +55,7 @@ class Prepared(NamedTuple):
     """The step from the stored scanner to the start."""
     angles: Angles
     usable: Bool[np.ndarray, " points"]
-    """Points that are finite; the others count nothing."""
+    """Points that are finite; the others have weight 0."""
     seen: Bool[np.ndarray, " sightings"]
     """The same of sightings."""
 

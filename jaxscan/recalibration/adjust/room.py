@@ -74,7 +74,8 @@ class Room(eqx.Module):
     root: Float[Array, "params params"]
     """Of its covariance: a step of the scanner is `root` times normal numbers."""
     linear_rows: Float[Array, "rows params"]
-    """More that is known of those numbers: rows of linear equations, each in standard deviations."""
+    """Further knowledge of those numbers, such as from boards: rows of linear equations, each in standard
+    deviations."""
     linear_values: Float[Array, " rows"]
     """Their right-hand sides."""
     stations: Float[Array, "stations 4 4"]
@@ -222,7 +223,7 @@ def point_rows(room: Room, y: Unknowns) -> PointRows:
 
 
 def _some(reach: Float[Array, ""]) -> Float[Array, ""]:
-    """Never 0, so that a ray along a wall makes no NaN; its weight is next to none."""
+    """Never 0, so that a ray along a wall gives no NaN; the weight of such a point is nearly 0."""
     return jnp.where(jnp.abs(reach) < _LEAST_REACH, _LEAST_REACH, reach).astype(reach.dtype)
 
 

@@ -33,7 +33,7 @@ _KINDS = np.zeros((STOPS + 1, 3))
 _KINDS[:STOPS, 0], _KINDS[:STOPS, 1], _KINDS[STOPS, 2] = _SIZES == _SIZES[0], (_SIZES / _SIZES[-1]) ** 2, 1.0
 # Walls whose normals have a larger part than this along the axis hardly see the table turn [1].
 _LEVEL = 0.9
-# A kind of shape is believed from this many of its standard deviations.
+# A kind of shape is used if it is this many of its standard deviations.
 _SIGNIFICANT = 1.5
 
 
@@ -231,7 +231,7 @@ def _significant(
             spread = np.linalg.inv(own.T @ own)
             value = spread @ (own.T @ rhs)
             left = rhs - own @ value
-            # Another kind must explain more than chance does.
+            # A further kind must explain more than chance would.
             if np.all(value > _SIGNIFICANT * np.sqrt(np.diag(spread))) and left @ left < lowest - 1.0:
                 best, lowest = np.zeros(kinds), float(left @ left)
                 best[list(some)] = value

@@ -110,7 +110,7 @@ _UNITS = {"degrees": float(np.degrees(1.0)), "mm": 1e3, "px": 1.0, "ppm": 1e6}
 
 
 def kind_of(name: str) -> str:
-    """The unit in which people are told of a coordinate; empty for a coefficient."""
+    """The unit in which a coordinate is shown; empty for a coefficient."""
     whole, _, last = name.rpartition(".")
     if last in ("n1", "n2", "d1", "d2") or name in ("c1", "s1", "c2", "s2"):
         return "degrees"
@@ -122,7 +122,7 @@ def kind_of(name: str) -> str:
 
 
 def unit_of(name: str) -> tuple[str, float]:
-    """The unit in which people are told of a coordinate's value, and its factor; a ratio is told as it is."""
+    """The unit in which a coordinate's value is shown, and its factor; a ratio has none."""
     kind = kind_of(name)
     return ("", 1.0) if kind in ("", "ppm") else (kind, _UNITS[kind])
 
@@ -166,11 +166,11 @@ class Explanation(NamedTuple):
 # A variance that became less by this share is measured rather than rounded. Little is enough: where the prior is tight,
 # a part that moved is many of its standard deviations away.
 _LEARNED = 1e-3
-# A rest that comes about by chance this often is ordinary.
+# A residual chi-squared with at least this chance is accepted.
 _ORDINARY = 0.01
-# Of two explanations one is believed if the data are this much likelier with it: 1000 to 1.
+# One explanation is preferred to another if the data are this much likelier with it: 1000 to 1.
 _DECISIVE = 2.0 * np.log(1000.0)
-# Moves that are tried, as shares of the largest move of a part.
+# Sizes of a move that are tried, as shares of the largest move of a part.
 _SHARES = np.geomspace(0.005, 1.0, 24)
 
 
@@ -200,7 +200,7 @@ def explain(departure: Departure, stored: Scanner) -> Explanation:
 def rest_of(departure: Departure, added: Float[np.ndarray, "params params"]) -> tuple[float, float]:
     """Chi-squared that moves of this covariance leave, and the chance of a larger one."""
     left, size, _ = np.linalg.svd(departure.slope @ root_of(added).T, full_matrices=False)
-    # Moves that would be lost in the noise explain nothing.
+    # Moves below the noise explain nothing.
     left = left[:, size > 1.0]
     rest = departure.chi2 - float(np.sum((left.T @ departure.value) ** 2))
     return rest, chance_of(rest, len(departure.value) - left.shape[1])
@@ -256,13 +256,13 @@ _AXIS = ("axis.p1", "axis.p2")
 
 
 def holds_no_scale(parts: Sequence[Part]) -> bool:
-    """Whether nothing is left that knows a distance once these parts have moved."""
+    """Whether no unmoved part of the rig fixes the scale."""
     return any(part.name == "axis" for part in parts) and any(part.name.startswith("laser ") for part in parts)
 
 
 Solving = Callable[[Scanner, Adjusted], Adjusted]
 """A solve with a prior, the stored scanner with any covariance, that begins where another ended."""
-# While nothing is known of a drift, every part may have moved by this share of its largest move.
+# Before a drift is known, every part may have moved by this share of its largest move.
 _LOOSE = 0.1
 # A scale that is known this much better than from the calibration is measured.
 _MEASURED = 2.0

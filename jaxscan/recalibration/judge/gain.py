@@ -92,11 +92,11 @@ def scale_slopes(
     return np.linalg.pinv(fields)[:2] @ slope.reshape(len(fields), -1)
 
 
-# A direction that is known less than this much better is the stored calibration's.
+# A direction whose gain is below this counts as held by the stored calibration alone.
 _OBSERVED = 2.0
-# A direction that lies so far within the scales is told with them.
+# A direction that lies so far within the space of the scales is not named by itself.
 _SAME = 0.8
-# Components that are named: at most so many, and none that is much smaller than the largest.
+# Components of a direction that are named: at most so many, and none much smaller than the largest.
 _NAMED, _SHARE = 3, 0.4
 
 
@@ -155,7 +155,7 @@ def unobserved(compared: Compared, scales: Scales, names: tuple[str, ...]) -> tu
 
 
 def _holding(before: float, after: float) -> str:
-    """Who holds a scale; walls also tell of parameters that bend them, on which it hangs besides."""
+    """What determines a scale; walls also determine parameters that bend them, on which it depends too."""
     if before >= _OBSERVED * after:
         return f"the {1e6 * after:.0f} ppm that are left of its sigma are the stored calibration's"
     return f"the stored calibration alone holds it, to {1e6 * after:.0f} ppm"

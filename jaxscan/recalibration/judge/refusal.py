@@ -13,7 +13,7 @@ from jaxscan.recalibration.result import Adjusted, Drift, HoldOut, LengthGain
 # Residuals this much larger than they are known to be, in variance, are of something that is not in the model: than
 # was learned from them, and than was stated before (walls may be rougher, and stripes noisier, than anybody stated).
 _BELIEVABLE, _MISFIT = 3.0, 25.0
-# No wall that anybody calls flat is rougher and more uneven [m].
+# Largest roughness and unevenness of a flat wall [m].
 _ROUGHEST_M = 5e-3
 # Planes whose normals are nearer than this have one direction.
 _SAME_DIRECTION = np.cos(np.radians(15.0))
@@ -24,7 +24,7 @@ _LEAST_TRACKS, _LEAST_TURN = 20, np.radians(90.0)
 _LEAST_GAIN = 1.05
 # No length may be known worse than before by more than rounding and first order make of it [1].
 _WORSE = 1.02
-# A scanner that knows a room's scale less well measures nothing [1].
+# Largest relative sigma of a room's scale [1].
 _LEAST_SCALE = 0.01
 
 

@@ -50,7 +50,8 @@ def hold_out(adjusted: Adjusted, stored: Scanner, fit: Fitting) -> HoldOut | Non
 
 
 def _halves(surfaces: Surfaces, seen: Int[np.ndarray, " points"]) -> tuple[list[int], list[int]]:
-    """Numbers of planes in two halves, large ones first in turn: each half has walls in several directions."""
+    """Numbers of planes in two halves. Large planes are dealt out first, so each half has walls in several
+    directions."""
     count = np.bincount(seen, minlength=len(surfaces.distance))
     planes = np.flatnonzero(count >= _LEAST_BLOCKS * _BLOCK).tolist()
     halves: tuple[list[int], list[int]] = ([], [])
@@ -171,8 +172,8 @@ def closure_of(adjusted: Adjusted, stored: Scanner) -> Closure | None:
     """The gap after a full turn, with the stored and with the new scanner; None without a full turn.
 
     Where a sweep overlaps itself the gap is measured: planes that the first pass saw against points of the second.
-    A table's gain need not be 1, so without an overlap the gap is that of the stored gain against the new one where
-    features close the turn, and nobody knows it where nothing does: then only its standard deviation is told.
+    A table's gain need not be 1. So without an overlap the gap is the difference of the stored gain and the new one if
+    features close the turn. If nothing closes it, the gap is unknown and only its standard deviation is given.
     """
     if not isinstance(stored.turntable, Turntable) or not isinstance(adjusted.scanner.turntable, Turntable):
         return None

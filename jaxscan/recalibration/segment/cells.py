@@ -61,7 +61,7 @@ def cells_of(sweep: SweepStripes, scanner: Scanner) -> list[Cells]:
 
 def _cells(sweep: SweepStripes, scanner: Scanner, laser: int) -> Cells:
     profiles = np.flatnonzero(sweep.laser == laser)
-    # Lines without the laser's colour have no stripes.
+    # Lines of a mosaic that lack the laser's colour have no stripes.
     seen = np.count_nonzero(sweep.valid[profiles], 0)
     lines = np.flatnonzero(seen > _EMPTY * seen.max(initial=0))
     block = max(-(-len(profiles) // MOST_PROFILES), 1), max(-(-len(lines) // MOST_LINES), 1)
@@ -119,7 +119,7 @@ def _averaged(
     valid = sweep.valid[at] & np.isfinite(sweep.centre[at]) & (sweep.sigma[at] > 0)
     centre = np.where(valid, sweep.centre[at], 0.0).astype(np.float64)
     sigma = np.where(valid, sweep.sigma[at], 1.0).astype(np.float64)
-    # Of the lines that there are.
+    # Taken over the lines that have stripes.
     spacing = np.diff(lines).mean() if len(lines) > 1 else 1.0
     shared = np.where(valid, sweep.shared_lines[at], 1.0).astype(np.float64) / spacing
     w, x = blocks(np.where(valid, sigma**-2.0, 0.0)), blocks(centre)
@@ -171,7 +171,7 @@ class Surroundings(NamedTuple):
     """RMS distance from the plane of the neighbourhood [m]."""
     even: Bool[np.ndarray, "rows columns"]
     factor: float
-    """By which the scatter exceeds the promise of the sigmas [1]."""
+    """Factor by which the scatter exceeds the stated sigmas [1]."""
 
 
 def surroundings(cells: Cells) -> Surroundings:

@@ -61,7 +61,7 @@ class BentPlane(NamedTuple):
     centre: Float[np.ndarray, "3"]
     axes: Float[np.ndarray, "2 3"]
     likely: Float[np.ndarray, " directions"]
-    """Likely steps of the calibration that take off most of the bend."""
+    """Steps of the calibration, within its covariance, that explain most of the bend."""
     rest: Float[np.ndarray, "3"]
     """How far these steps shift (at the centre [m]) and tilt (along the axes) the plane."""
     taken: Float[np.ndarray, "3 directions"]

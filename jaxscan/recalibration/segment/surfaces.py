@@ -316,7 +316,7 @@ def _candidates(
         row, line = (part.ravel() for part in np.mgrid[: cells.block[0], : cells.block[1]])
         row, line = i + row, j + line
     else:
-        # The same for the same input.
+        # A fixed seed: the same input gives the same result.
         rng = np.random.default_rng(0)
         row = i + rng.integers(0, cells.block[0], (len(i), _TRIES))
         line = j + rng.integers(0, cells.block[1], (len(i), _TRIES))
@@ -427,7 +427,7 @@ def _rank(p: np.ndarray, surface: np.ndarray) -> Int[np.ndarray, " points"]:
 
 
 def _shares(wish: np.ndarray, most: np.ndarray, total: int) -> Int[np.ndarray, " surfaces"]:
-    """Numbers in the proportion of a wish, none above its own most, at most `total` together."""
+    """Numbers in proportion to `wish`, each at most its own limit, at most `total` together."""
     share = np.zeros(len(wish))
     open_ = np.ones(len(wish), bool)
     while open_.any():

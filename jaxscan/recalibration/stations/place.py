@@ -223,7 +223,7 @@ LEAST_SHARE = 0.12
 MOST_DENIED = 0.12
 """Largest share of compared cells that one station fills and the other looked through: things that were moved."""
 DENIED = 30
-"""A place is worse than another if so many more cells are denied, and half as many again."""
+"""A pose is worse than another if so many more cells contradict it, and half as many again."""
 COARSER = 3.0
 """A place is worse than another if its walls agree so much worse [1]."""
 FINE_M = 0.002
@@ -293,7 +293,7 @@ def _near(one: Station, other: Station, given: np.ndarray, *, or_else: Calibrati
             if or_else is not None and place.denied > max(DENIED, MOST_DENIED * (place.common + place.denied)):
                 raise or_else
             return Pair(place.aligned.pose, place.common / _cells(one, other))
-    # Walls that do not hold it along one direction still take its error out along the others.
+    # Walls that leave one direction open still correct the pose along the others.
     aligned = align(one.view, other.view, given).pose
     (common, _), (_, denied) = _compare(one.space, other.space, np.array([given, aligned]))
     if or_else is not None and (places or common == 0 or denied > max(DENIED, common / 2)):

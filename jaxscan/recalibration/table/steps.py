@@ -144,7 +144,7 @@ LEAST_STEP = np.deg2rad(0.02)
 MOST_STEP = np.deg2rad(10.0)
 """Larger ones are no lost steps."""
 PLAIN_BREAK = np.deg2rad(1.0)
-"""A larger one breaks its wall plainly: where no break showed it, it must bring points to walls to be believed."""
+"""A larger one breaks its wall plainly. If no break showed it, it must bring points onto walls to be accepted."""
 
 
 def find_steps(sweep: SweepStripes, start: Rig) -> Rig:
@@ -167,7 +167,7 @@ def find_steps(sweep: SweepStripes, start: Rig) -> Rig:
             found = None if large is None else _best(sweep, rig, [_with_step(sweep, start, rig, large)])
         if found is None:
             break
-        # With one step known, a break that was tried in vain may be believed.
+        # With one step known, a break that was rejected before may be accepted.
         rig, vain = found, []
     return iterate_fit(sweep, _begin(start, rig.steps), LAST_TIMES, MANY_POINTS) if rig.steps else rig
 
@@ -210,7 +210,7 @@ def _with_step(sweep: SweepStripes, start: Rig, rig: Rig, place: tuple[int, floa
     """The rig with one more step, settled, at the record that its points tell."""
     steps = (*rig.steps, place)
     for times in PLACED:
-        # With the step mended, walls are whole across it, and tell its size and then its record.
+        # With the step corrected, walls are whole across it, and give its size and then its record.
         more = iterate_fit(sweep, _begin(start, steps), times)
         record = _place_step(sweep, more, len(steps) - 1)[0]
         moved, steps = record != steps[-1][0], (*more.steps[:-1], (record, more.steps[-1][1]))

@@ -89,7 +89,7 @@ def _one_wall(a: Plane, b: Plane, x: np.ndarray, y: np.ndarray) -> bool:
     """Whether a turn about the axis makes one plane of two, and they are neighbours."""
     size = max(np.linalg.norm(a.centre), np.linalg.norm(b.centre))
     if min(np.hypot(*a.normal[:2]), np.hypot(*b.normal[:2])) < 0.5:
-        # A turn about the axis leaves a floor where it is.
+        # A turn about the axis does not move a floor.
         near = abs(a.distance - b.distance) < SAME * np.linalg.norm(a.centre)
         return bool(near and a.normal @ b.normal > BEND)
     turned, tilt = fold(a.normal, b.normal)
@@ -337,7 +337,8 @@ def wall_equations(
         m = plane.normal
         normals[on] = m
         error[on] = plane.distance - x[on] @ m
-        # The unknowns see the point on the wall: a stretch of the room would shrink the noise with it.
+        # Derivatives are taken at the point moved onto the wall: otherwise shrinking the room would also shrink the
+        # errors.
         shift[on] = np.clip(error[on] / (noise[on] @ m), -MOST_SHIFT, MOST_SHIFT)
         x[on] += shift[on, None] * noise[on]
         sigma[on] = np.hypot(noise[on] @ m, FLOOR * np.linalg.norm(x[on], axis=1))

@@ -199,9 +199,9 @@ _LOOKED_AT = 6
 _SEARCHED = 16
 """Images in which the dictionary of markers is looked for."""
 _NOMINAL_RANGE_M = 2.5
-"""Where a feature is taken to be before it has moved."""
+"""Distance that a feature is assumed to have before it has moved."""
 _LEAST_SHARE = 0.3
-"""Share of features that fit the turn below which none is believed."""
+"""If a smaller share of the features fits the turn, none is used."""
 _FEWEST_TRACKS = 20
 _SIGHTINGS = 8
 """Sightings of a track that are used, at most: neighbouring ones share the blur and bend of a feature."""
@@ -323,7 +323,7 @@ def _thinned(followed: Followed) -> Followed:
     start, count = np.unique(followed.track[order], return_index=True, return_counts=True)[1:]
     place = np.arange(len(order)) - np.repeat(start, count)
     last, most = np.repeat(count - 1, count), np.minimum(np.repeat(count, count), _SIGHTINGS) - 1
-    # A place is kept where the rounded share of the way to the last one steps up.
+    # Keeps places evenly spread by rank: where the rounded rank steps up.
     share = np.floor(place * most / np.maximum(last, 1) + 1e-9)
     before = np.floor((place - 1) * most / np.maximum(last, 1) + 1e-9)
     return Followed(*(field[order[share > before]] for field in followed))

@@ -51,7 +51,7 @@ def triangulate(
 ) -> Triangulated:
     """The point nearest to all lines of sight of each track, by linear least squares.
 
-    A camera on the axis does not tell how far points are: then `valid` is False.
+    A camera on the axis cannot tell the distance of points: then `valid` is False.
     """
     across = np.eye(3) - rays.direction[:, :, None] * rays.direction[:, None, :]
     weight = sigma_rad**-2.0

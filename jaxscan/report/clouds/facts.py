@@ -64,7 +64,7 @@ class Directions:
         return min(max(int((90.0 - elevation_deg) / self.side_deg), 0), len(self.count) - 1)
 
     def share(self, *, of_band: bool) -> float:
-        """Part of all directions, or of those of the band, that have points [1]."""
+        """Share of all directions, or of those within the band, that have points [1]."""
         rows = self.band
         weight = np.cos(np.radians(self.elevation_deg[rows]))
         share = float(weight @ (self.count[rows] > 0).mean(1) / weight.sum())
@@ -108,7 +108,7 @@ def directions_of(xyz: np.ndarray, sigma_m: np.ndarray, spacing_deg: float = 0.0
     row = np.clip((90.0 - np.degrees(elevation)) / side, 0, shape[0] - 1).astype(int)
     column = np.clip((180.0 - np.degrees(azimuth)) / side, 0, shape[1] - 1).astype(int)
     cell = row * shape[1] + column
-    # Points themselves, not places between two of them.
+    # Quantiles are taken at points, not between two of them.
     ends = [np.percentile(elevation, share, method="nearest") if len(elevation) else 0.0 for share in (0.5, 99.5)]
     known = sigma_m > 0
     return Directions(
@@ -183,7 +183,7 @@ class Facts:
     turned: bool
     """Whether the cloud says at which angles its profiles were taken."""
     directions: tuple[Directions, ...]
-    """From each station, the first few; from the middle of the cloud where nobody knows where the scanner stood."""
+    """For the first few stations; seen from the middle of the cloud if the scanner's position is unknown."""
     stations: int
     placed: bool
     cells: float | None
@@ -291,7 +291,7 @@ def _doubts(cloud: PointCloud) -> tuple[str, ...]:
     record = np.asarray(cloud.record)
     if not len(record) or record.min() < 0:
         return ()
-    # The names of the records in their capture are not in the cloud: their places in the sweep.
+    # The cloud does not hold the records' numbers in the capture, so their positions in the sweep are given.
     return tuple(profile_doubts(cloud, np.arange(int(record.max()) + 1))) if record.max() < 10_000_000 else ()
 
 

@@ -290,13 +290,13 @@ def draw_room(
     beside: np.ndarray | None = None,
     width: int = 1600,
 ) -> tuple[np.ndarray, Canvas]:
-    """Draw a room, cut open, on a canvas of a width [px] that it fills with other places beside it [n, 3], m; arguments
-    else as of `draw_cloud`, with one point at least. Returns the picture, uint8 RGB, and its frame.
+    """Draw a room, cut open, on a canvas of a width [px] that it fills together with further places `beside` [n, 3], m.
+    Other arguments are those of `draw_cloud`; there must be a point. Returns the picture, uint8 RGB, and its frame.
     """
     points, colours, towards = _between_profiles(xyz, rgb, normals)
     view = room_view(points)
     kept = _in_sight(points, towards, np.array(view.eye, np.float32))
-    # A few points are no room that could be cut open.
+    # A cloud of a few points is not cut open.
     kept = kept if kept.any() else ~kept
     points, colours = points[kept], colours[kept]
     shown = points[:: max(1, len(points) // 100_000)].astype(np.float64)
@@ -450,7 +450,7 @@ class _Item(NamedTuple):
 
 
 class Label(NamedTuple):
-    """Words in the picture, for those who ask where they are."""
+    """Words in the picture, with their places."""
 
     words: str
     box: tuple[float, float, float, float]
@@ -497,7 +497,7 @@ def _near_zero(cloud: PointCloud, box: RoomBox | None) -> tuple[PointCloud, Room
 
 
 def dimension_lines(room: DrawnRoom, eye: np.ndarray) -> list[DimensionMark]:
-    """The dimensions of a room seen from an eye [3], m, along those of its edges where they hide nothing of it."""
+    """The dimensions of a room seen from an eye [3], m, drawn along edges where they do not hide the room."""
     near = [float(eye @ axis.direction > 0.5 * (axis.low + axis.high)) for axis in room.axes]
     lines = []
     for number, axis in enumerate(room.axes):

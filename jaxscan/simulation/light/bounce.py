@@ -162,9 +162,9 @@ PIECES = 48
 GRID = 8
 """Pixels from one point of the grid to the next."""
 _LENGTH = 0.03
-"""A piece is no point: nearer than about this [m] its light does not grow any more."""
+"""A piece has a size: nearer than about this [m] its light does not grow any more."""
 _FAINT = 1e-3
-"""Light of one piece that nothing is taken to stand in the way of [DN]; all such of a place are about 0.01 DN."""
+"""Light of one piece [DN] below which shadows are not tested; all such pieces together give about 0.01 DN."""
 _BATCH = 1024
 """Places evaluated at a time."""
 _ROWS = 64
@@ -232,7 +232,7 @@ def _field(shot: LitScene, pieces: Pieces, places: np.ndarray) -> np.ndarray:
     distance2 = legs[0] * legs[0] + legs[1] * legs[1] + legs[2] * legs[2]
     np.maximum(distance2, np.float32(1e-12), out=distance2)
     leaving = -sum(leg * pieces.normal[:, axis, None] for axis, leg in enumerate(legs))
-    # By the distance once for the cosine, and once more for the direction.
+    # Divided by the distance once for the cosine, and once for the direction.
     strength = np.maximum(leaving, 0)
     strength *= pieces.power[:, None]
     strength /= distance2 * (distance2 + np.float32(_LENGTH**2)) * np.float32(np.pi)

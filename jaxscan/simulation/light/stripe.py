@@ -184,7 +184,7 @@ def row_truth(shot: LitScene, depth: np.ndarray, light: np.ndarray) -> RowTruth:
         low, f_low = np.where(left, u, low), np.where(left, value, f_low)
         high, f_high = np.where(left, high, u), np.where(left, f_high, value)
     rays = rays_at(u)
-    # At a jump of depth the sheet is crossed nowhere; a lit centre has light of its own.
+    # At a jump of depth no surface crosses the sheet; a true centre has light.
     real = (np.abs(beside(rays)) < 2e-5) & (illuminate(shot, rays) > 0)
     peak = np.zeros(len(u), np.float32)
     for step in (-1, 0, 1, 2):

@@ -112,7 +112,7 @@ class Caster:
             ) from problem
         self._scene = EmbreeScene(robust=True)
         TriangleMesh(self._scene, np.ascontiguousarray(triangles, np.float32))
-        # The first cast builds the tree, which only one thread may do.
+        # The first cast builds the tree, and only one thread may do that.
         self.nearest(np.zeros(3), np.array([[1.0, 0.0, 0.0]]))
 
     def nearest(self, origin: np.ndarray, directions: np.ndarray) -> tuple[np.ndarray, np.ndarray]:

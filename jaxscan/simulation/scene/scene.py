@@ -271,7 +271,7 @@ class Outline:
         places = np.rint(ends * _SAME).astype(np.int64)
         _, point = np.unique(places.reshape(-1, 3), axis=0, return_inverse=True)
         pair = np.sort(point.reshape(-1, 2), 1)
-        # An edge that two triangles of one facet share, as the diagonal of a quad, is none.
+        # An edge between two triangles of one facet, such as the diagonal of a quad, does not count.
         _, first, count = np.unique(
             np.column_stack([self.facet[:-1].repeat(3), pair]), axis=0, return_index=True, return_counts=True
         )

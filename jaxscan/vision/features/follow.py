@@ -19,7 +19,7 @@ _BACK_PX = 0.5
 _MOST_DIFFERENT = 0.35
 """Difference from the piece in which a feature began, over its contrast, at most."""
 _LONGEST = 40
-"""Images in which a feature is followed, at most: farther on its piece looks otherwise."""
+"""Most images in which a feature is followed: after that its patch looks different."""
 
 
 class _Alive(NamedTuple):

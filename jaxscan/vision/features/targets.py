@@ -23,7 +23,7 @@ _EDGE_PX, _ACROSS, _EDGE_SAMPLES = 4.0, 17, 24
 _LARGEST_PX = 1400
 """Side of the images in which dictionaries are looked for, at most."""
 _SURE = 2
-"""Images in which a marker is seen before its dictionary is believed: many a texture looks like a marker once."""
+"""Images that must show a dictionary's markers before it is accepted: many textures look like a marker once."""
 
 
 def find_dictionary(images: Sequence[np.ndarray]) -> str | None:

@@ -54,7 +54,7 @@ def find_features(image: np.ndarray, sees: np.ndarray, taken: np.ndarray, apart:
     # cornerMinEigenVal divides the derivatives of a uint8 image by 255 * 4 * block; those of a ramp of one grey level
     # per pixel are 8 before that.
     unit = (255.0 * 4.0 * _BLOCK / 8.0) ** 2
-    # The gradients' own noise is no texture.
+    # The noise of the gradients must not count as texture.
     weakest = cv2.cornerMinEigenVal(small, _BLOCK, ksize=3) * unit - 12 / 64 * (_BLOCK * noise) ** 2
     around = np.ones((2 * (apart // factor) + 1,) * 2, np.uint8)
     near = np.zeros(small.shape, np.uint8)

@@ -6,8 +6,9 @@ let order = () => {}, opened = null, chosen = null, shown = "";
 // What is asked once more before it is done: [what, capture].
 let asked = ["", ""];
 
-// Whether the cloud of a capture is not that of the calibration that is used.
+// Whether the cloud of a capture is not that of the calibration that is used, and of which one it is, if that is known.
 export const isOld = (capture, state) => Boolean(capture.cloud && capture.made_with && state.calibration_digest && capture.made_with !== state.calibration_digest);
+export const maker = (capture, state) => (state.calibrations ?? []).find((one) => one.digest === capture.made_with);
 
 // `goes` is [capture, button]: the one that is the next step.
 export function showCaptures(state, operates, cloud, send, goes = ["", ""]) {
@@ -44,7 +45,7 @@ function card(capture, state, operates, cloud, goes) {
     item.append(image);
   }
   item.append(make("strong", capture.name), make("div", capture.problem || words(capture, state), capture.problem ? "wrong" : "quiet"));
-  if (isOld(capture, state)) item.append(make("div", "its cloud is of another calibration", "quiet"));
+  if (isOld(capture, state)) item.append(make("div", `its cloud is of ${maker(capture, state)?.file ?? "another calibration"}`, "quiet"));
   const again = () => showCaptures(state, operates, cloud, order, goes), free = operates && state.doing === "nothing" && !state.works.some((work) => work.running);
   const button = (text, work, enabled = true, why = "") => {
     const made = make("button", text);

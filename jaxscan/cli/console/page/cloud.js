@@ -14,8 +14,8 @@ export class Cloud {
     missing.hidden = Boolean(this.gl);
     canvas.hidden = !this.gl;
     this.turn = 0.6; this.tilt = 0.5; this.away = 9; this.number = 0; this.chunks = []; this.points = 0;
-    // Some of the places, by which the view is chosen until a person zooms: its middle, and how far all reach from it.
-    this.some = []; this.middle = [0, 0, 0]; this.radius = 3; this.zoomed = false;
+    // Some of the places without strays, by which the view is chosen until a person zooms, and their middle.
+    this.some = []; this.within = []; this.middle = [0, 0, 0]; this.zoomed = false;
     if (this.gl) { this.prepare(); this.listen(); this.draw(); }
     this.tell();
   }
@@ -29,7 +29,7 @@ export class Cloud {
 
   clear(number) {
     for (const chunk of this.chunks) { this.gl.deleteBuffer(chunk.place); this.gl.deleteBuffer(chunk.colour); }
-    this.number = number; this.chunks = []; this.points = 0; this.some = []; this.zoomed = false;
+    this.number = number; this.chunks = []; this.points = 0; this.some = []; this.within = []; this.zoomed = false;
     this.tell(); this.later();
   }
 
@@ -49,9 +49,9 @@ export class Cloud {
     this.later();
   }
 
-  // Without the outermost hundredth: strays are not the room.
+  // Without what lies far beyond all but the outermost hundredth: strays are not the room, but corners are.
   enclose(places) {
-    const points = places.length / 3, step = Math.max(1, Math.floor(points / 200));
+    const points = places.length / 3, step = Math.max(1, Math.floor(points / 2000));
     for (let k = 0; k < points; k += step) this.some.push([...places.subarray(3 * k, 3 * k + 3)]);
     if (this.some.length > 4000) this.some = this.some.filter((_, k) => k % 2);
     const ends = [0, 1, 2].map((axis) => {
@@ -59,7 +59,7 @@ export class Cloud {
       return [along[Math.floor(0.01 * along.length)], along[Math.ceil(0.99 * along.length) - 1]];
     });
     this.middle = ends.map(([low, high]) => (low + high) / 2);
-    this.radius = Math.max(0.2, Math.hypot(...ends.map(([low, high]) => (high - low) / 2)));
+    this.within = this.some.filter((one) => ends.every(([low, high], axis) => Math.abs(one[axis] - this.middle[axis]) <= 0.6 * (high - low)));
   }
 
   tell() { this.empty.hidden = !this.gl || this.points > 0; this.count.textContent = this.points ? `${this.points.toLocaleString("en")} points shown` : ""; }
@@ -86,8 +86,7 @@ export class Cloud {
     const gl = this.gl, canvas = this.canvas, dense = Math.min(devicePixelRatio, 2);
     const width = Math.max(1, Math.round(canvas.clientWidth * dense)), height = Math.max(1, Math.round(canvas.clientHeight * dense));
     if (canvas.width !== width || canvas.height !== height) { canvas.width = width; canvas.height = height; }
-    // The ball around all, as large as the narrower side of the picture.
-    if (!this.zoomed) this.away = this.radius * Math.hypot(1, FOCAL / Math.min(1, width / height)) * 0.74;
+    if (!this.zoomed && this.within.length) this.away = this.fitting(width / height);
     gl.viewport(0, 0, width, height); gl.clear(gl.COLOR_BUFFER_BIT | gl.DEPTH_BUFFER_BIT);
     gl.uniformMatrix4fv(this.view, false, this.matrix(width / height)); gl.uniform1f(this.size, height / 60);
     for (const chunk of this.chunks) {
@@ -97,11 +96,22 @@ export class Cloud {
     }
   }
 
+  // Right, up and back of the camera.
+  axes() {
+    const [ct, st, ce, se] = [Math.cos(this.turn), Math.sin(this.turn), Math.cos(this.tilt), Math.sin(this.tilt)];
+    return [[-st, ct, 0], [-se * ct, -se * st, ce], [ce * ct, ce * st, se]];
+  }
+
+  // From so far away all of it is in the picture, with a margin.
+  fitting(aspect) {
+    const along = (axis, place) => axis.reduce((sum, part, i) => sum + part * (place[i] - this.middle[i]), 0), [right, up, back] = this.axes();
+    return Math.max(0.5, ...this.within.map((one) => along(back, one) + 1.06 * FOCAL * Math.max(Math.abs(along(right, one)) / aspect, Math.abs(along(up, one)))));
+  }
+
   // Perspective times a camera that circles the middle, z up; column after column.
   matrix(aspect) {
     const f = FOCAL, near = 0.05, far = 200, a = (far + near) / (near - far), b = (2 * far * near) / (near - far);
-    const [ct, st, ce, se] = [Math.cos(this.turn), Math.sin(this.turn), Math.cos(this.tilt), Math.sin(this.tilt)];
-    const right = [-st, ct, 0], up = [-se * ct, -se * st, ce], back = [ce * ct, ce * st, se];
+    const [right, up, back] = this.axes();
     const column = (i) => [(f / aspect) * right[i], f * up[i], a * back[i], -back[i]];
     // The camera looks at the middle from `away`.
     const moved = [0, 1, 2, 3].map((row) => -[0, 1, 2].reduce((sum, axis) => sum + column(axis)[row] * this.middle[axis], 0));

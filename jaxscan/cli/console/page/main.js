@@ -3,11 +3,15 @@ import { at, fill, make, ownName, refusal } from "/shared.js";
 import { showLive, showPicture } from "/live.js";
 import { showGuide } from "/guide.js";
 import { Cloud } from "/cloud.js";
-import { isOld, showCaptures } from "/captures.js";
+import { isOld, maker, showCaptures } from "/captures.js";
 import { showHand, takeHand } from "/hand.js";
 
 const PICTURE = 1, CLOUD = 2;
 const WORDS = { nothing: "ready", opening: "opening the rig …", aim: "looking", sweep: "scanning", boards: "capturing the board", placing: "place the board" };
+const WAITS = {
+  calibrate: "The calibration is calculated: wait for its verdict.", recalibrate: "The calibration is bettered: wait for its verdict.",
+  reconstruct: "The cloud is calculated; it can be looked at as soon as that is done.",
+};
 const LASER = { off: "laser off", unknown: "laser not known to be off: switch its supply off" };
 const cloud = new Cloud(at("cloud"), at("no-webgl"), at("points"), at("no-points"));
 let socket = null, state = {}, you = { operates: false, pages: 0 }, again = 0;
@@ -65,12 +69,12 @@ function next() {
     return state.calibration || !state.has_board ? [`${well} Scan.`, "sweep"] : [`${well} Calibrate, with the board.`, "boards"];
   }
   if (state.doing !== "nothing") return ["", ""];
-  const works = state.works.filter((work) => work.running).map((work) => work.what.split(" ")[0]);
-  if (works.includes("calibrate")) return ["The calibration is calculated: wait for its verdict.", ""];
-  if (works.includes("recalibrate")) return ["The calibration is bettered: wait for its verdict.", ""];
-  if (works.includes("reconstruct")) return ["The cloud is calculated; it can be looked at as soon as that is done.", ""];
+  const work = state.works.find((work) => work.running), waits = WAITS[work?.what.split(" ")[0]];
+  if (waits) return [`${waits} ${work.lines.at(-1)?.match(/about .* left$/)?.[0] ?? ""}`, ""];
   if (resumable()) return [`Resume goes on with ${state.order.name}.`, "resume"];
   const made = state.captures.find((capture) => capture.cloud);
+  const before = made && isOld(made, state) && maker(made, state), used = inUse();
+  if (before?.sigma_mm < used?.sigma_mm) return [`${used.file} is used now: ${twoDigits(used.sigma_mm)} mm. ${before.file}, with which ${made.name} was made, is good to ${twoDigits(before.sigma_mm)} mm: if the rig is as it was, choose it under Calibration. If not, Scan.`, "sweep"];
   if (made && isOld(made, state)) return [`Reconstruct ${made.name} again: its cloud was made with another calibration than the one that is used now.`, [made.name, "Reconstruct"]];
   const better = made && state.calibration && !(state.verdict?.of ?? []).includes(made.name) ? " Recalibrate betters the calibration by it." : "";
   if (made) return [`${made.name} has its cloud: Look around, under Captures, or Scan again.${better}`, [made.name, "Look around"]];
@@ -153,19 +157,22 @@ function age(seconds) {
 // By the user's own goal; a colour without one would judge what nobody asked for.
 const judged = (size) => (!state.goal_mm || !size ? "" : size <= state.goal_mm ? "good" : "open");
 
+const inUse = () => (state.calibrations ?? []).find((one) => state.calibration && state.calibration.split("/").at(-1) === one.file);
+
 // The calibration that is used, and those that may be used instead. Its verdict is said once.
 function showCalibration() {
-  const known = state.calibrations ?? [], used = known.find((one) => state.calibration && state.calibration.split("/").at(-1) === one.file);
+  const known = state.calibrations ?? [], used = inUse();
   const made = used ? age(Date.now() / 1000 - used.changed) : "", below = used && state.verdict?.verdict?.headline === used.headline;
   at("calibration").textContent = !state.calibration ? "none yet: the cloud grows once there is one" : !used ? state.calibration : below ? `made ${made}` : `${used.headline}; ${made}`;
   at("calibration").className = used && !below ? judged(used.sigma_mm) : "";
   const some = known.filter((one) => one.good), list = at("calibrations");
   list.hidden = !some.length;
   list.disabled = !you.operates;
-  const key = JSON.stringify([some.map((one) => one.file), used?.file]);
+  const words = (one) => [one.sigma_mm && `${twoDigits(one.sigma_mm)} mm`, one.file, age(Date.now() / 1000 - one.changed)].filter(Boolean).join(", ");
+  const key = JSON.stringify([some.map(words), used?.file]);
   if (list.dataset.shown === key || document.activeElement === list) return;
   list.dataset.shown = key;
-  fill(list, [...(used?.good ? [] : [make("option", state.calibration ?? "choose one")]), ...some.map((one) => { const made = make("option", one.file); made.value = one.file; return made; })]);
+  fill(list, [...(used?.good ? [] : [make("option", state.calibration ?? "choose one")]), ...some.map((one) => { const made = make("option", words(one)); made.value = one.file; return made; })]);
   list.value = used?.file ?? list.options[0]?.value;
 }
 
@@ -173,7 +180,7 @@ function showVerdict(verdict) {
   at("verdict").hidden = !verdict?.verdict;
   if (!verdict?.verdict) return;
   const own = judged(verdict.sigma_mm), kinds = { good: own, plain: own, bad: "wrong", open: "open" };
-  at("headline").textContent = verdict.verdict.headline;
+  at("headline").textContent = `${verdict.so_far ? `${verdict.so_far} so far: ` : ""}${verdict.verdict.headline}`;
   at("headline").className = `headline ${kinds[verdict.verdict.kind] ?? ""}`;
   at("goal").textContent = !verdict.sigma_mm ? "" : state.goal_mm ? `Your goal_mm is ${state.goal_mm}: ${verdict.sigma_mm <= state.goal_mm ? "met" : "not met"}.` : `Write goal_mm into ${state.config} to have it judged.`;
   at("explanation").textContent = verdict.verdict.explanation;
