@@ -4,8 +4,7 @@
 
 Errors of hundreds of calibrations with fresh noise against the covariance that each states. Gain and harmonics of the
 table are held by their priors alone, so their true values, and the ratio of the focal lengths, are drawn from the
-priors in every run. The share of the priors in all other parameters is printed; it is close to zero. The exit code is
-1 if a limit is missed.
+priors in every run. The exit code is 1 if a limit is missed.
 """
 
 import sys
@@ -17,13 +16,7 @@ import numpy as np
 from experiments import exact_rig
 from experiments.exact_rig import BoardPoses, PosePlan, add_noise, draw_poses, ideal_boards
 from experiments.report import Figure, command_line, conclude, progress, rms
-from jaxscan.calibration import (
-    Length,
-    calibrate_observations,
-    length_sigma,
-    measure_lengths,
-    typical_lengths,
-)
+from jaxscan.calibration import Length, calibrate_observations, length_sigma, measure_lengths, typical_lengths
 from jaxscan.simulation import SimulationConfig, true_scanner
 
 
@@ -63,8 +56,6 @@ def honesty(runs: int, quick: bool) -> list[Figure]:
                 progress(f"{label}: {seed + 1} of {runs} runs, {time.perf_counter() - started:.0f} s")
         # Few runs know a standard deviation badly: at 12, four times 1 / sqrt(24) = 0.8.
         figures += _honest(label, found, names, lengths, 5.0 if quick else 1.0)
-        shares = _prior_shares(found[0].covariance, names)
-        progress("information from priors: " + ", ".join(f"{name} {share:.1e}" for name, share in shares.items()))
     return figures
 
 
@@ -136,15 +127,6 @@ def _honest(label: str, runs: list[Run], names: tuple[str, ...], lengths: list[L
         Figure(f"{label}: largest bias", bias.max(), "sigma"),
         Figure(f"{label}: residuals rejected per run", np.mean([each.rejected for each in runs]), ""),
     ]
-
-
-def _prior_shares(covariance: np.ndarray, names: tuple[str, ...]) -> dict[str, float]:
-    """Posterior over prior variance: how much of a parameter's information the prior is at most."""
-    priors = exact_rig.SETTINGS.priors
-    sigma = dict.fromkeys(("cx", "cy"), priors["centre_px"]) | dict.fromkeys(("p1", "p2"), priors["tangential"])
-    sigma |= {"k3": priors["k3"], "gain": priors["gain"]} | dict.fromkeys(("c1", "s1", "c2", "s2"), priors["harmonics"])
-    sigma |= dict.fromkeys(("warp.x", "warp.y"), priors["warp"])
-    return {name: float(covariance[i, i] / sigma[name] ** 2) for i, name in enumerate(names) if name in sigma}
 
 
 def main() -> int:

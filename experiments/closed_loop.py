@@ -145,16 +145,8 @@ def main() -> int:
         apart = np.abs(np.asarray(clouds["room"].xyz) - np.asarray(clouds["live"].xyz))[both]
         differing = int((np.asarray(clouds["room"].valid) != np.asarray(clouds["live"].valid)).sum())
         box = jaxscan.measure_room(clouds["room"], scanner=jaxscan.load_scanner(calibration))
-    for row in rows:
-        print(
-            f"{row['name']:>8}: {row['points']:6d} points of {row['cells']:6d} cells, median "
-            f"{1e3 * row['median_m']:+6.2f} mm, RMS {1e3 * row['rms_m']:.2f} mm, 95 % within "
-            f"{1e3 * row['p95_m']:.2f} mm, {100 * row['beyond_20_mm']:.3f} % beyond 20 mm"
-        )
     width, length = sorted(world.room.size_m[:2]) if world.room is not None else (0.0, 0.0)
-    for name, true in (("length", length), ("width", width)):
-        side = getattr(box, name)
-        print(f"{name:>8}: {1e3 * (side.value_m - true):+6.2f} mm, predicted sigma {1e3 * side.sigma_m:.2f} mm")
+    sides = {name: (getattr(box, name), true) for name, true in (("length", length), ("width", width))}
     figures = [
         Figure("shots_right", 100.0 * right / records, "%", low=100.0),
         Figure("planes", len(rows), "of the room's 6"),
@@ -163,6 +155,8 @@ def main() -> int:
         Figure("retakes", scan["retakes"], "pairs"),
         Figure("live_cloud_apart", 1e3 * float(apart.max()), "mm from the one of `reconstruct`"),
         Figure("live_cloud_differs", differing, "cells of which only one cloud has a point"),
+        *(Figure(f"{name}_error", 1e3 * (side.value_m - true), "mm") for name, (side, true) in sides.items()),
+        *(Figure(f"{name}_sigma", 1e3 * side.sigma_m, "mm") for name, (side, _) in sides.items()),
         *(Figure(name, value, "s") for name, value in seconds.items()),
     ]
     return conclude("closed-loop", figures, arguments.json, walls=rows)

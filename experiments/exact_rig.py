@@ -13,15 +13,7 @@ from jaxscan.calibration import CalibrationSettings
 from jaxscan.errors import ConfigError
 from jaxscan.geometry import Scanner
 from jaxscan.observation import BoardViews, Observations, StripeViews
-from jaxscan.simulation import (
-    LaserSpec,
-    Motion,
-    SimulationConfig,
-    distort,
-    rodrigues,
-    true_scanner,
-    turning_axis,
-)
+from jaxscan.simulation import LaserSpec, Motion, SimulationConfig, distort, rodrigues, true_scanner, turning_axis
 
 
 NEAREST_M = 0.05

@@ -10,7 +10,6 @@ nothing, and both sides of a difference are computed there.
 """
 
 import sys
-import time
 from collections.abc import Callable
 from typing import Any
 
@@ -18,6 +17,7 @@ import jax
 import numpy as np
 
 from experiments.report import Figure, command_line, conclude
+from experiments.speed import take_turns
 from experiments.speed_scene import DISTINCT, ELECTRONS_PER_DN, READ_DN, make_angles, make_frames, make_scanner
 from jaxscan.reconstruction import Sweep, reconstruct
 from jaxscan.stripes import NoiseModel, extract_stripes
@@ -31,16 +31,6 @@ LIMIT_ONE_SIDED = 1e-3
 """Share of the stripes that only one of two results may have."""
 UNITS = {"u": "px", "sigma": "px", "width": "px", "amplitude": "DN", "rgb": "DN", "intensity": "DN"}
 UNITS |= {"xyz": "m", "sigma_random": "m", "sigma_systematic": "m"}
-
-
-def seconds(run: Callable[[], Any], repeats: int) -> float:
-    """Least time of a function whose results are waited for, after one run to compile."""
-    walls = []
-    for _ in range(repeats + 1):
-        start = time.perf_counter()
-        jax.block_until_ready(run())
-        walls.append(time.perf_counter() - start)
-    return min(walls[1:])
 
 
 def differences(name: str, found: Any, expected: Any) -> list[Figure]:
@@ -76,7 +66,8 @@ def measure(device: jax.Device, pairs: int, repeats: int) -> list[Figure]:
     figures = []
     for name, work in works.items():
         with jax.default_device(device):
-            taken, found = seconds(lambda work=work: vars(work(slice(None))), repeats), work(some)
+            run = lambda work=work: jax.block_until_ready(vars(work(slice(None))))
+            taken, found = take_turns({name: run}, repeats)[name].best, work(some)
         with jax.default_device(cpu):
             expected = work(some)
         figures.append(Figure(name, 1e6 * taken / pairs, "us/pair"))

@@ -51,8 +51,7 @@ def by_another(path: Path) -> Read | str:
         if reader == "laspy":
             import laspy
 
-            cloud = laspy.read(path)
-            return Read.of(np.stack([np.asarray(cloud.x), np.asarray(cloud.y), np.asarray(cloud.z)], -1))
+            return Read.of(np.asarray(laspy.read(path).xyz))
         if reader == "Open3D":
             return Read.of(np.asarray(load_open3d().io.read_point_cloud(str(path)).points))
         if reader == "pye57":

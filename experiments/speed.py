@@ -1,14 +1,12 @@
-"""Speed and memory of a reconstruction beside plain pipelines, of codecs, of calibrations, and of the first result.
+"""Speed and memory of a reconstruction beside a plain pipeline, of calibrations, and of the first result.
 
     python -m experiments.speed [--only SECTION …] [--quick] [--scratch DIR] [--json FILE] [--results DIR]
 
 - memory: pairs in memory to coloured points. Ours fits sub-pixel centres with their noise, chooses among several
-  reflections, and gives normals and two sigmas a point; `usual` is the method of the best-known desk scanner for all
-  rows at once, `lean` the least that gives a centroid, `read` one pass over the bytes. All get the same stacks, in
-  turn.
+  reflections, and gives normals and two sigmas a point; `lean` is the least that gives a centroid, `read` one pass
+  over the bytes. All get the same stacks, in turn.
 - packed: a sweep from files, in a process of its own: time by the number of records, memory without the pages of files
   and how it grows with the sweep, and a cloud again from cached stripes.
-- codecs: size and time of the storage of captures beside PNG.
 - calibration: warm solves, and the camera alone beside OpenCV's.
 - cold: the demo and a calibration of its boards as commands, with nothing compiled, and again.
 
@@ -40,23 +38,14 @@ import numpy as np
 from experiments import exact_rig
 from experiments.exact_rig import PosePlan, add_noise, draw_poses, ideal_boards
 from experiments.report import RESULTS, Figure, command_line, conclude, figure_table, machine, progress, table, verb
-from experiments.speed_scene import (
-    DISTINCT,
-    DISTORTION,
-    HEIGHT,
-    WIDTH,
-    Frames,
-    make_angles,
-    make_frames,
-    make_scanner,
-)
+from experiments.speed_scene import DISTINCT, DISTORTION, HEIGHT, WIDTH, Frames, make_angles, make_frames, make_scanner
 from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
-from jaxscan.files.capture import Capture, cache_path, cached_stripes, frames_key, open_capture, save_stripes
+from jaxscan.files.capture import cache_path, cached_stripes, frames_key, open_capture, save_stripes
 from jaxscan.geometry import Scanner
 from jaxscan.observation import Observations
 from jaxscan.reconstruction import PointCloud, ReconstructSettings, Sweep, extract, reconstruct
 from jaxscan.stripes import Stripes, StripeSettings, extract_stripes
-from jaxscan.vision import decode_image, encode_png, encode_zstd
+from jaxscan.vision import encode_zstd
 
 
 THREADS = 2
@@ -95,10 +84,6 @@ class Size(NamedTuple):
 FULL, QUICK = Size(512, 5, (400, 1200, 3600)), Size(48, 1, (50, 100))
 
 
-Centres = Callable[[np.ndarray, np.ndarray], tuple[np.ndarray, np.ndarray]]
-"""A frame's laser-on and laser-off image to the stripe's centre on every row, and where it is."""
-
-
 def memory(size: Size, scratch: Path) -> tuple[list[Figure], str]:
     """Whole pipelines on all frames."""
     frames, scanner = make_frames(size.pairs, make_scanner()), make_scanner()
@@ -110,7 +95,7 @@ def memory(size: Size, scratch: Path) -> tuple[list[Figure], str]:
     # OpenCV's own threads would only compete with the threads over frames.
     cv2.setNumThreads(1)
     points: dict[str, float] = {}
-    u = {name: np.full((size.pairs, HEIGHT), np.nan, np.float32) for name in ("usual", "lean")}
+    u = np.full((size.pairs, HEIGHT), np.nan, np.float32)
     with ThreadPoolExecutor(THREADS) as pool:
 
         def ours(name: str, settings: ReconstructSettings) -> Callable[[], None]:
@@ -123,18 +108,15 @@ def memory(size: Size, scratch: Path) -> tuple[list[Figure], str]:
             "ours": ours("ours", ReconstructSettings()),
             "ours, no normals": ours("ours, no normals", ReconstructSettings(normals=False)),
             "ours, centre of gravity": ours("ours, centre of gravity", plain),
-            "usual": pipeline(usual_centres, scanner, frames, angle, u["usual"], pool),
-            "lean": pipeline(lean_centres, scanner, frames, angle, u["lean"], pool),
+            "lean": pipeline(scanner, frames, angle, u, pool),
             "read": lambda: list(pool.map(np.sum, parts)),
         }
         times = take_turns(runs, size.repeats)
     cv2.setNumThreads(-1)
     found = extract_stripes(frames.on[:DISTINCT], frames.off[:DISTINCT])
-    right = {name: _right(own, frames) for name, own in u.items()}
-    right["ours"] = _right(np.where(found.valid, found.u, np.nan), frames)
-    points |= {name: float(np.isfinite(own).mean()) for name, own in u.items()}
+    right = {"lean": _right(u, frames), "ours": _right(np.where(found.valid, found.u, np.nan), frames)}
+    points["lean"] = float(np.isfinite(u).mean())
     figures = [
-        Figure("ours over usual, processor", times["ours"].processor / times["usual"].processor, "1"),
         Figure("ours over lean, processor", times["ours"].processor / times["lean"].processor, "1"),
         Figure("ours over read, wall", times["ours"].best / times["read"].best, "1"),
     ]
@@ -147,43 +129,23 @@ def memory(size: Size, scratch: Path) -> tuple[list[Figure], str]:
     return figures, table(head, rows)
 
 
-def usual_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The method of the desk scanner Horus: threshold, box of 5 x 5, threshold, 8 px round the highest pixel."""
-    image = cv2.subtract(on, off)
-    cv2.threshold(image, 50, 255, cv2.THRESH_TOZERO, dst=image)
-    cv2.blur(image, (5, 5), dst=image)
-    cv2.threshold(image, 50, 255, cv2.THRESH_TOZERO, dst=image)
-    return centroid(image, image.argmax(axis=1), 8, 0)
-
-
-def centroid(image: np.ndarray, peak: np.ndarray, reach: int, least: int) -> tuple[np.ndarray, np.ndarray]:
-    """Centre of gravity of each row within `reach` columns of its peak [rows], of pixels of at least `least`."""
-    columns = peak[:, None] + np.arange(-reach, reach + 1)
-    inside = (columns >= 0) & (columns < image.shape[1])
-    window = image[np.arange(len(image))[:, None], np.clip(columns, 0, image.shape[1] - 1)].astype(np.float32)
-    window[(window < least) | ~inside] = 0
-    total = window.sum(1)
-    return (window * columns).sum(1) / np.maximum(total, 1.0), total > 0
-
-
 def lean_centres(on: np.ndarray, off: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """The least that gives a centroid: one blurred row at a time, one threshold."""
+    """A frame's stripe on every row, and where it is: one blurred row at a time, one threshold, a centroid of 13 px."""
     difference = cv2.subtract(on, off)
     blurred = cv2.GaussianBlur(difference, (5, 1), 0)
     peak = blurred.argmax(axis=1)
-    u, _ = centroid(difference, peak, 6, 6)
+    columns = peak[:, None] + np.arange(-6, 7)
+    inside = (columns >= 0) & (columns < WIDTH)
+    window = difference[np.arange(HEIGHT)[:, None], np.clip(columns, 0, WIDTH - 1)].astype(np.float32)
+    window[(window < 6) | ~inside] = 0
+    u = (window * columns).sum(1) / np.maximum(window.sum(1), 1.0)
     return u, blurred[np.arange(HEIGHT), peak] > 12
 
 
 def pipeline(
-    centres: Centres,
-    scanner: Scanner,
-    frames: Frames,
-    angle: np.ndarray,
-    every_u: np.ndarray,
-    pool: ThreadPoolExecutor,
+    scanner: Scanner, frames: Frames, angle: np.ndarray, every_u: np.ndarray, pool: ThreadPoolExecutor
 ) -> Callable[[], object]:
-    """From centres to coloured points in single precision, with distortion; all prepared that can be.
+    """From `lean_centres` to coloured points in single precision, with distortion; all prepared that can be.
 
     Args:
         every_u: Takes the centres of a run [pairs, rows], px; NaN where there is none.
@@ -198,7 +160,7 @@ def pipeline(
 
     def one(number: int) -> None:
         off = frames.off[number]
-        u, valid = centres(frames.on[number], off)
+        u, valid = lean_centres(frames.on[number], off)
         found = np.flatnonzero(valid)
         q = np.stack([u[valid], found.astype(np.float32)], -1)[:, None, :].astype(np.float32)
         x = cv2.undistortPoints(q, matrix, DISTORTION)[:, 0]
@@ -299,7 +261,13 @@ def packed_inside(folder: Path, size: Size) -> dict[str, Any]:
     stripes = extract(capture, scanner).stripes
     fields = {field.name: np.asarray(getattr(stripes, field.name)) for field in dataclasses.fields(stripes)}
     save_stripes(cache_path(capture), fields, {"frames": frames_key(capture)})
-    again = take_turns({"again": lambda: _from_cache(capture, scanner)}, 2)["again"]
+
+    def from_cache() -> PointCloud:
+        kept = cached_stripes(cache_path(capture), {"frames": frames_key(capture)})
+        assert kept is not None
+        return reconstruct(capture, scanner, stripes=Stripes(**kept))
+
+    again = take_turns({"again": from_cache}, 2)["again"]
     return {
         "walls": [times[str(count)].best for count in size.packed],
         "used": [times[str(count)].processor for count in size.packed],
@@ -308,12 +276,6 @@ def packed_inside(folder: Path, size: Size) -> dict[str, Any]:
         "growth_bytes": (needed[-1] - needed[0]) / (cells[-1] - cells[0]),
         "again_s": again.best,
     }
-
-
-def _from_cache(capture: Capture, scanner: Scanner) -> PointCloud:
-    kept = cached_stripes(cache_path(capture), {"frames": frames_key(capture)})
-    assert kept is not None
-    return reconstruct(capture, scanner, stripes=Stripes(**kept))
 
 
 class Watch:
@@ -342,36 +304,6 @@ def anonymous_bytes() -> int:
     with open("/proc/self/status") as status:
         fields = dict(line.split(":", 1) for line in status)
     return 1024 * sum(int(fields[name].split()[0]) for name in ("RssAnon", "RssShmem"))
-
-
-def codecs(size: Size, scratch: Path) -> tuple[list[Figure], str]:
-    """Size and time of a frame on one core; every frame that comes back is compared. Differences are modulo 256."""
-    frames = make_frames(8, make_scanner())
-    kinds = {"on": frames.on, "off": frames.off, "off - on": frames.off - frames.on}
-    decoded = lambda data: decode_image(data, name="frame", rank=None, size=None)
-    known, rows = {}, []
-    cv2.setNumThreads(1)
-    for kind, stack in kinds.items():
-        for name, encode in {"packed": encode_zstd, "PNG": encode_png}.items():
-            data = [encode(frame) for frame in stack]
-            if not all(np.array_equal(decoded(one), frame) for one, frame in zip(data, stack, strict=True)):
-                raise AssertionError(f"{name} has lost something.")
-            functions = {
-                "encode": lambda encode=encode, stack=stack: [encode(frame) for frame in stack],
-                "decode": lambda data=data: [decoded(one) for one in data],
-            }
-            times = take_turns(functions, size.repeats)
-            share = sum(map(len, data)) / stack.nbytes
-            known[name, kind] = share, times["decode"].processor
-            each = [f"{1e3 * times[way].processor / len(stack):.2f}" for way in ("encode", "decode")]
-            rows.append([name, kind, f"{100 * share:.1f} %", *each])
-    cv2.setNumThreads(-1)
-    (ours, decode), (theirs, of_png) = known["packed", "on"], known["PNG", "on"]
-    figures = [
-        Figure("packed: decode rate over PNG's", of_png / decode, "1", low=5.0),
-        Figure("packed: size over PNG's", ours / theirs, "1", high=1.3),
-    ]
-    return figures, table(["codec", "frames", "size", "encode, ms of a core", "decode, ms of a core"], rows)
 
 
 VIEWS, FEWER_VIEWS, CAMERA_VIEWS = 40, 37, 23
@@ -427,15 +359,10 @@ def _boards(plan: PosePlan) -> Observations:
 def cold(size: Size, scratch: Path) -> tuple[list[Figure], str]:
     """The demo and a calibration of its boards, cold and again."""
     figures, rows = [], []
-    for run, demo_s, boards_s in (("cold", 60.0, 20.0), ("again", 35.0, 8.0)):
-        for name, words, limit in (
-            ("demo", ("demo", "-o", scratch / run), demo_s),
-            (
-                "boards",
-                ("calibrate", scratch / "cold" / "captures" / "boards", "-o", scratch / f"{run}.json"),
-                boards_s,
-            ),
-        ):
+    boards = ("calibrate", scratch / "cold" / "captures" / "boards", "-o")
+    for run, limits in (("cold", (60.0, 20.0)), ("again", (35.0, 8.0))):
+        commands = {"demo": ("demo", "-o", scratch / run), "boards": (*boards, scratch / f"{run}.json")}
+        for (name, words), limit in zip(commands.items(), limits, strict=True):
             done = verb(*words, XDG_CACHE_HOME=str(scratch / f"cache of {name}"))
             if done.code:
                 raise SystemExit(f"jaxscan {name}: exit code {done.code}: {done.problem[-2000:]}")
@@ -447,7 +374,6 @@ def cold(size: Size, scratch: Path) -> tuple[list[Figure], str]:
 SECTIONS: dict[str, Callable[[Size, Path], tuple[list[Figure], str]]] = {
     "memory": memory,
     "packed": packed,
-    "codecs": codecs,
     "calibration": calibration,
     "cold": cold,
 }

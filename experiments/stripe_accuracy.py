@@ -7,25 +7,21 @@ Everything uses the public call with its default settings, on frames from an ind
 - narrow: the same at 0.7 px; over-exposed: at 2.4 times full scale;
 - faint: 12 DN in noise of 3 DN, and rows invented where there is no stripe;
 - reflections: rows mistaken in a furnished room;
-- speckle: error over the limit of coherent light, where it is the noise that counts;
-- peer: the centre of gravity, the plain estimator, beside the Gaussian on the same frames.
+- speckle: error over the limit of coherent light, where it is the noise that counts.
 
-Without --only and --quick a table and a plot are written to experiments/results. The exit code is
+Without --only and --quick a page is written to experiments/results. The exit code is
 1 if a figure misses its limit.
 
     python -m experiments.stripe_accuracy [--only SECTION] [--quick] [--json FILE] [--results DIR]
 """
 
-import functools
 import math
 import sys
 import time
 from pathlib import Path
 from typing import NamedTuple
 
-import matplotlib
 import numpy as np
-from matplotlib import pyplot as plt
 
 import jaxscan
 from experiments import stripe_world
@@ -42,10 +38,7 @@ from experiments.stripe_world import (
     scattered_course,
 )
 from jaxscan.reconstruction.along import smooth_sweep
-from jaxscan.stripes import ESTIMATORS, NoiseModel, StripeSettings
-
-
-matplotlib.use("agg")
+from jaxscan.stripes import NoiseModel
 
 
 class Cell(NamedTuple):
@@ -100,34 +93,6 @@ def cell_table(cells: list[Cell], section: str) -> str:
 
 
 _COLUMNS = (("valid", ".4f"), ("rms", ".4f"), ("ratio", ".3f"), ("bias", ".4f"), ("honesty", ".3f"))
-
-
-def draw(cells: list[Cell], path: Path) -> None:
-    """Error over bound, and honesty of sigma, over width and amplitude; the noise known."""
-    figure, axes = plt.subplots(1, 3, figsize=(12, 3.6), layout="constrained")
-    panels = (
-        ("ratio", "RMS error / Cramér–Rao bound", (1.05,)),
-        ("bias", "largest bias over the phase [px]", (0.005,)),
-        ("honesty", "reported sigma / true error", (0.9, 1.1)),
-    )
-    amplitudes = sorted({cell.amplitude for cell in cells})
-    colours = plt.get_cmap("viridis")(np.linspace(0, 0.9, len(amplitudes)))
-    for axis, (name, title, limits) in zip(axes, panels, strict=True):
-        for amplitude, colour in zip(amplitudes, colours, strict=True):
-            chosen = [cell for cell in cells if cell.amplitude == amplitude and cell.noise == "known"]
-            values = [getattr(cell, name) for cell in chosen]
-            axis.plot(
-                [cell.width for cell in chosen], values, "o-", ms=3, lw=1, color=colour, label=f"{amplitude:g} DN"
-            )
-        for limit in limits:
-            axis.axhline(limit, color="tab:red", ls="--", lw=1)
-        axis.set(title=title, xlabel="width (standard deviation) [px]")
-        axis.grid(alpha=0.3)
-    axes[0].axhline(1.0, color="0.4", lw=1)
-    axes[1].set_ylim(bottom=0)
-    axes[0].legend(fontsize="small", title="amplitude")
-    figure.savefig(path, dpi=80)
-    plt.close(figure)
 
 
 CONTRASTS, F_NUMBERS = (1.0, 0.5, 0.2), (2.8, 5.6, 8.0)
@@ -186,15 +151,11 @@ PHASES = 10
 BIAS_ERROR_PX = 0.00095
 """Standard error of a phase bin's mean that sets the number of rows, where the bound is reached."""
 NOISES = ("known", "estimated")
-PEER_PLACES = ((1.0, 60.0), (1.5, 20.0), (1.5, 120.0), (3.0, 60.0))
-"""Width [px] and amplitude [DN] at which both estimators are compared."""
 
 
-def extracted(
-    on: np.ndarray, off: np.ndarray, noise: NoiseModel | None, estimator: str = "gaussian"
-) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+def extracted(on: np.ndarray, off: np.ndarray, noise: NoiseModel | None) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
     """u, sigma, valid of every row, by the public call."""
-    stripes = jaxscan.extract_stripes(on, off, noise=noise, settings=StripeSettings(estimator=estimator))
+    stripes = jaxscan.extract_stripes(on, off, noise=noise)
     return np.asarray(stripes.u, np.float64), np.asarray(stripes.sigma, np.float64), np.asarray(stripes.valid)
 
 
@@ -281,70 +242,40 @@ def measure_faint(*, quick: bool, seed: int) -> list[Figure]:
     return out
 
 
-def measure_peer(*, quick: bool, seed: int) -> list[Figure]:
-    """Error over the bound, honesty of sigma and rows found of both estimators, on the same frames."""
-    sensor = Sensor()
-    known = models(sensor)["known"]
-    out = []
-    for width, amplitude in PEER_PLACES:
-        rng = np.random.default_rng([seed, 31, round(100 * width), round(amplitude)])
-        rows: dict[str, list] = {name: [] for name in ESTIMATORS}
-        for _ in range(1 if quick else 4):
-            frames = render(scattered_course(BATCH, ROWS, COLUMNS, rng), width, amplitude, COLUMNS, sensor, rng)
-            for name in ESTIMATORS:
-                u, sigma, valid = extracted(frames.on, frames.off, known, name)
-                rows[name].append(np.stack([u - frames.u, sigma, valid]).reshape(3, -1))
-        bound = centre_bound(width, amplitude, sensor)
-        for name in ESTIMATORS:
-            error, sigma, valid = np.concatenate(rows[name], -1)
-            error, sigma = error[valid > 0], sigma[valid > 0]
-            key = f"peer_{name}_{width:g}px_{amplitude:g}dn"
-            out.append(Figure(f"{key}_rms_over_bound", rms(error) / bound, "1"))
-            out.append(Figure(f"{key}_sigma_over_error", rms(sigma) / rms(error), "1"))
-            out.append(Figure(f"{key}_valid", float(np.mean(valid)), "of rows"))
-    return out
-
-
 def measure_reflections(*, quick: bool, seed: int) -> list[Figure]:
     """Rows that are mistaken in a room with second reflections."""
     config, records = stripe_world.room_records(6 if quick else 24)
     draws = [stripe_world.score(config, records, seed + number) for number in range(1 if quick else 8)]
     out = []
     for variant in stripe_world.VARIANTS:
-        total = functools.reduce(stripe_world.Score.plus, [scores[variant.name] for scores in draws])
+        total = stripe_world.Score(*np.sum([scores[variant.name] for scores in draws], 0).tolist())
         key = "reflections_" + variant.name.replace(", ", "_").replace(" ", "_")
         affected = max(total.affected, 1)
         out.append(Figure(f"{key}_right", total.right / affected, "of affected rows", low=variant.least))
-        out.append(Figure(f"{key}_on_the_reflection", total.reflected / affected, "of affected rows"))
-        out.append(Figure(f"{key}_missing", total.missing / affected, "of affected rows"))
+        shares = {"on_the_reflection": total.reflected, "missing": total.missing}
+        out += [Figure(f"{key}_{name}", count / affected, "of affected rows") for name, count in shares.items()]
         out.append(Figure(f"{key}_affected", total.affected, "rows"))
         out.append(Figure(f"{key}_right_of_all", total.right_of_all / max(total.clean, 1), "of rows"))
         out.append(Figure(f"{key}_found_on_clean_frames", total.clean / total.lit, "of lit rows"))
     return out
 
 
-SECTIONS = ("cells", "narrow", "over_exposed", "faint", "reflections", "peer", "speckle")
+SECTIONS = ("cells", "narrow", "over_exposed", "faint", "reflections", "speckle")
 TITLES = {
     "cells": "Width by amplitude (limits: RMS ≤ 1.05 of the bound, bias ≤ 0.005 px, sigma 0.9–1.1 of the error)",
     "narrow": "Narrow stripes (limits: RMS ≤ 1.10 of the bound, sigma 0.9–1.1 of the error)",
     "over_exposed": "Over-exposed 2.4 times (limits: RMS ≤ 0.02 px, sigma 0.9–1.1 of the error)",
     "faint": "A stripe of 12 DN, 2 px wide, in noise of 3 DN of the difference; and no stripe at all",
-    "peer": "The plain estimator (centre of gravity) beside the default one, on the same frames, the noise known",
     "speckle": "Where speckle rules: contrast 1, 0.5, 0.2 at f/2.8, 5.6, 8; its limit is C lambda / (2 pi sin u')",
     "reflections": "Second reflections on a fifth of the lit rows of a furnished room",
 }
 
 
-_MEASURES = {
-    "faint": measure_faint,
-    "reflections": measure_reflections,
-    "peer": measure_peer,
-    "speckle": measure_speckle,
-}
+_MEASURES = {"faint": measure_faint, "reflections": measure_reflections, "speckle": measure_speckle}
 
 
-def measure(section: str, *, quick: bool, seed: int) -> tuple[str, list[Figure], list[Cell]]:
-    """A section's table, figures and cells."""
+def measure(section: str, *, quick: bool, seed: int) -> tuple[str, list[Figure]]:
+    """A section's table and figures."""
     places = {
         "cells": [(width, amplitude) for width in WIDTHS for amplitude in AMPLITUDES],
         "narrow": [(NARROW, amplitude) for amplitude in AMPLITUDES],
@@ -352,9 +283,9 @@ def measure(section: str, *, quick: bool, seed: int) -> tuple[str, list[Figure],
     }
     if section in places:
         cells = [cell for place in places[section] for cell in measure_cell(*place, quick=quick, seed=seed)]
-        return cell_table(cells, section), cell_figures(cells, section), cells
+        return cell_table(cells, section), cell_figures(cells, section)
     figures = _MEASURES[section](quick=quick, seed=seed)
-    return figure_table(figures), figures, []
+    return figure_table(figures), figures
 
 
 HEAD = """# Stripe centres: accuracy
@@ -367,8 +298,6 @@ frames (whose background has one level only, so that the gain is left at its def
 the largest of the means over ten bins of the phase, ± its standard error. Seed {seed}. The part on speckle is of
 another camera (8 e-/DN, read 1.7 DN, black level 5 DN; 12 pairs of 512 lines for each contrast and aperture), and
 learns all of its noise from the frames.
-
-![error, bias and sigma over width and amplitude](stripe_accuracy.png)
 """
 
 
@@ -379,20 +308,18 @@ def main() -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--results", type=Path, default=RESULTS, help="folder of the table")
     options = parser.parse_args()
-    start, parts, figures, cells = time.perf_counter(), [], [], []
+    start, parts, figures = time.perf_counter(), [], []
     for section in options.only or SECTIONS:
-        found, own, own_cells = measure(section, quick=options.quick, seed=options.seed)
+        found, own = measure(section, quick=options.quick, seed=options.seed)
         parts.append(f"## {TITLES[section]}\n\n{found}\n")
         print(parts[-1], file=sys.stderr, flush=True)
         figures += own
-        cells += own_cells if section == "cells" else []
     if not (options.only or options.quick):
         limited = [figure for figure in figures if figure.target()]
         kept, seconds = sum(figure.met() for figure in limited), time.perf_counter() - start
         head = HEAD.format(machine=machine(), seconds=seconds, kept=kept, limited=len(limited), seed=options.seed)
         options.results.mkdir(parents=True, exist_ok=True)
         (options.results / "stripe_accuracy.md").write_text("\n".join([head, *parts]))
-        draw(cells, options.results / "stripe_accuracy.png")
     code = conclude("stripe-accuracy", figures, options.json, quick=options.quick)
     return 0 if options.quick else code
 

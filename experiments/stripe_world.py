@@ -383,9 +383,6 @@ class Score(NamedTuple):
     """Affected rows without a stripe."""
     right_of_all: int
 
-    def plus(self, other: "Score") -> "Score":
-        return Score(*(a + b for a, b in zip(self, other, strict=True)))
-
 
 class Variant(NamedTuple):
     """A kind of reflection."""

@@ -16,11 +16,7 @@ from experiments.paper.products import draws, held_out, observe_held_out
 from experiments.paper.stage import Direction, Metric, Stage, plt, save
 
 
-WAYS = {
-    "ours": "ours, as in a calibration",
-    "ours_sweep": "ours, as in a sweep",
-    **METHODS,
-}
+WAYS = {"ours": "ours, as in a calibration", "ours_sweep": "ours, as in a sweep", **METHODS}
 """Stripe finders."""
 _STYLES = {
     "highest": {"marker": "s", "ms": 7, "mfc": "none", "color": "tab:orange"},
@@ -138,11 +134,7 @@ def _picture(stage: Stage, board: SeenStripe, metrics: list[Metric]) -> None:
     figure = plt.figure(figsize=(15.5, 9.6), layout="constrained")
     axes = figure.subplots(2, 3, height_ratios=(0.78, 1.0))
     bright, ceiling = np.percentile(board.off, 99.9), np.percentile(difference, 99.95)
-    images = {
-        "laser off": (board.off, bright),
-        "laser on": (board.on, bright),
-        "difference": (difference, ceiling),
-    }
+    images = {"laser off": (board.off, bright), "laser on": (board.on, bright), "difference": (difference, ceiling)}
     for place, (title, (image, high)) in zip(axes[0], images.items(), strict=True):
         shown = place.imshow(image, cmap="gray", vmin=0, vmax=high)
         place.set(title=title, xlabel="u [px]", ylabel="v [px]")

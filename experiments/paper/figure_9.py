@@ -12,16 +12,7 @@ import numpy as np
 
 import jaxscan
 from experiments.paper.methods import METHODS, PaperWay, paper_cloud
-from experiments.paper.products import (
-    Draw,
-    PlainStripes,
-    Room,
-    draws,
-    our_calibrations,
-    room,
-    room_colours,
-    room_sweep,
-)
+from experiments.paper.products import Draw, PlainStripes, Room, draws, our_calibrations, room, room_colours, room_sweep
 from experiments.paper.stage import Metric, Stage, plt, save
 from experiments.report import rms
 from jaxscan import recalibration

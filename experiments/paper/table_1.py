@@ -169,11 +169,7 @@ def _root_mean_square(squares: np.ndarray) -> tuple[float, float]:
     return root, float(squares.mean(1).std(ddof=1) / np.sqrt(len(squares)) / (2 * root))
 
 
-NAMES = {
-    "paper_way": METHODS["gravity"],
-    "ours": "ours, the paper's views",
-    "our_protocol": "ours, own protocol",
-}
+NAMES = {"paper_way": METHODS["gravity"], "ours": "ours, the paper's views", "our_protocol": "ours, own protocol"}
 
 
 def run(stage: Stage) -> list[Metric]:

@@ -1,10 +1,8 @@
-"""The kinds of trials: worlds, stored calibrations and sweeps, each from a seed; rendered worlds and stations too."""
+"""The kinds of trials: worlds, stored calibrations and sweeps, each from a seed; stations too."""
 
-import importlib.resources
 from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,7 +12,6 @@ from experiments.recalibration import world
 from experiments.recalibration.trial import Kind, Task, calibration_of, draw_truth, fitted, wall_points
 from experiments.recalibration.world import (
     UNKIND,
-    Noise,
     Sweeping,
     TrueSweep,
     curved,
@@ -23,11 +20,10 @@ from experiments.recalibration.world import (
     room_from_rig,
     stepped,
 )
-from experiments.unkind.simulated import draw_config
+from experiments.report import ROOT
 from jaxscan.calibration import Calibration
 from jaxscan.geometry import Scanner
-from jaxscan.recalibration import Given, Recalibration, RecalibrationSettings, SweepStripes, recalibrate
-from jaxscan.reconstruction.along import smooth_sweep
+from jaxscan.recalibration import Given, Recalibration, RecalibrationSettings, recalibrate
 from jaxscan.simulation import Motion, SimulationConfig, true_scanner
 
 
@@ -37,15 +33,9 @@ TILT_DEG = 0.3
 """By about which a tripod leans, a standard deviation about each of two axes."""
 
 
-def demo() -> SimulationConfig:
-    """The rig and the room of `jaxscan demo`."""
-    with importlib.resources.as_file(importlib.resources.files("jaxscan.data") / "demo.toml") as path:
-        return jaxscan.load_simulation(path)
-
-
 def two_stations(seed: int) -> Task:
-    """Both places are drawn about the middle of the room; the second may be turned by any angle."""
-    config = draw_truth(demo(), seed)
+    """Both places are drawn about the middle of the room of `jaxscan demo`; the second may be turned by any angle."""
+    config = draw_truth(jaxscan.load_simulation(ROOT / "jaxscan" / "data" / "demo.toml"), seed)
     assert config.room is not None
     random = np.random.default_rng([seed, 88])
     middle, way = np.array(config.room.size_m[:2]) / 2, random.uniform(0, 2 * np.pi)
@@ -133,50 +123,6 @@ def _angle(motion: np.ndarray) -> float:
     return float(np.linalg.norm([cross[2, 1], cross[0, 2], cross[1, 0]]) / 2)
 
 
-SIMULATED = tuple(range(101, 111))
-"""Seeds of the rendered worlds."""
-
-
-def simulated(seed: int, folder: Path, kept: Path) -> Task:
-    """A rendered sweep of `configs/unkind.toml`; ten worlds, each with a calibration of this seed."""
-    number = SIMULATED[seed % len(SIMULATED)]
-    config = draw_config(number)
-    stored = calibration_of(config, "paper-like", seed)
-    stripes = stripes_of(folder / f"simulated_{number}", stored, kept)
-    how = Sweeping(steps=len(stripes.angle), noise=Noise(px=0.0))
-    _, exact = world.true_sweep(config, 0, how)
-    assert config.room is not None and np.allclose(exact.angle, stripes.angle)
-    apart = ((0, 1, config.room.size_m[0]), (2, 3, config.room.size_m[1]))
-    walls = np.where(exact.surface < 6, exact.surface, -1)
-    return Task(stored, [stripes], true_scanner(config), walls, apart, known={"world": number})
-
-
-def stripes_of(folder: Path, stored: Calibration, kept: Path) -> SweepStripes:
-    """The stripes of a rendered sweep, as `jaxscan recalibrate` takes them from its capture."""
-    path = kept / f"{folder.name}.npz"
-    if not path.exists():
-        kept.mkdir(parents=True, exist_ok=True)
-        scanner = stored.scanner
-        assert isinstance(scanner, Scanner)
-        capture = jaxscan.open_capture(folder / "sweep")
-        found = jaxscan.extract(capture, scanner).stripes
-        along = smooth_sweep(found)
-        valid = np.asarray(found.valid) & (along.sigma > 0)
-        np.savez_compressed(
-            path,
-            centre=along.u,
-            sigma=along.sigma,
-            shared_lines=along.shared_lines,
-            valid=valid,
-            record=np.asarray(found.record),
-            laser=np.asarray(found.laser),
-            angle=np.asarray(capture.angles),
-        )
-    with np.load(path) as file:
-        return SweepStripes(name=folder.name, stripe_axis="rows", **file)
-
-
-CONFIGS = Path(__file__).resolve().parents[2] / "configs"
 PAPER, UNKIND_SWEEP = Sweeping(steps=360, line_stride=4), Sweeping(steps=120, noise=UNKIND)
 """A tenth of the records of `configs/paper.toml` and every fourth row; all of `configs/unkind.toml`."""
 ROUGH = replace(PAPER, rough_m=5e-4, rough_length_m=0.05)
@@ -184,7 +130,7 @@ ROUGH = replace(PAPER, rough_m=5e-4, rough_length_m=0.05)
 
 def load(name: str) -> SimulationConfig:
     """A rig and its room."""
-    return jaxscan.load_simulation(CONFIGS / f"{name}.toml")
+    return jaxscan.load_simulation(ROOT / "configs" / f"{name}.toml")
 
 
 def task_of(config: SimulationConfig, stored: Calibration, seed: int, how: Sweeping) -> Task:

@@ -221,10 +221,7 @@ def statements(result: Recalibration) -> dict[str, Any]:
         "updated": result.updated,
         "refused": result.refused,
         "drift": {"p": drift.p, "part": drift.part},
-        "table": {
-            "jumps": [list(jump) for jump in table.jumps],
-            "sentences": list(table.sentences),
-        },
+        "table": {"jumps": [list(jump) for jump in table.jumps], "sentences": list(table.sentences)},
     }
 
 

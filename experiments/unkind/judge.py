@@ -63,10 +63,7 @@ ROWS: tuple[tuple[str, tuple[str, ...], str], ...] = (
     ("points on boards: error / stated", ("boards", "error_over_stated"), "{:.2f}"),
     *(
         (f"points on boards, print {name}: {title}", ("boards", "classes", name, key), form)
-        for title, key, form in (
-            ("error / stated", "error_over_stated", "{:.2f}"),
-            ("RMS [px]", "rms_px", "{:.3f}"),
-        )
+        for title, key, form in (("error / stated", "error_over_stated", "{:.2f}"), ("RMS [px]", "rms_px", "{:.3f}"))
         for name in CLASSES
     ),
     ("points on boards", ("boards", "points"), "{:.0f}"),

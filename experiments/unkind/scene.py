@@ -75,10 +75,7 @@ def _bend(lens: np.ndarray, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, n
     k1, k2, p1, p2 = lens[4:]
     r2 = x * x + y * y
     radial = 1 + r2 * (k1 + r2 * k2)
-    return (
-        x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x),
-        y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y,
-    )
+    return (x * radial + 2 * p1 * x * y + p2 * (r2 + 2 * x * x), y * radial + p1 * (r2 + 2 * y * y) + 2 * p2 * x * y)
 
 
 def draw_rig(rng: np.random.Generator) -> Rig:

@@ -3,10 +3,9 @@
 import numpy as np
 import pytest
 
-from experiments.recalibration import limits
+from experiments.recalibration import trials
 from experiments.recalibration.kinds import KINDS
-from experiments.recalibration.limits import LIMITS, TRIALS, Limit
-from experiments.recalibration.trials import page, rows
+from experiments.recalibration.trials import LIMITS, TRIALS, Limit, page, rows
 
 
 def trial(before, after, sigma, **more):
@@ -22,32 +21,32 @@ TWO = [trial((3.0, 4.0), (0.3, 0.1), (0.1, 0.1)), trial((-3.0, 4.0), (0.1, -0.3)
 
 
 def test_factors_and_ratios():
-    assert limits.better(TWO) == pytest.approx(3.0 / np.sqrt(0.05))
-    assert limits.spread(1)(TWO) == pytest.approx(np.sqrt(0.05))
-    assert limits.honest(0)(TWO) == pytest.approx(np.sqrt((9 + 0.25) / 2))
-    assert limits.away(TWO) == pytest.approx(-14.5)
+    assert trials.better(TWO) == pytest.approx(3.0 / np.sqrt(0.05))
+    assert trials.spread(1)(TWO) == pytest.approx(np.sqrt(0.05))
+    assert trials.honest(0)(TWO) == pytest.approx(np.sqrt((9 + 0.25) / 2))
+    assert trials.away(TWO) == pytest.approx(-14.5)
 
 
 def test_a_length_that_moves_away_counts_in_stated_sigmas():
-    assert limits.away([*TWO, trial((0.1, 1.0), (-0.4, 0.0), (0.1, 0.1))]) == pytest.approx(3.0)
+    assert trials.away([*TWO, trial((0.1, 1.0), (-0.4, 0.0), (0.1, 0.1))]) == pytest.approx(3.0)
 
 
 def test_lost_steps_must_be_found_where_they_are():
     found = {"jumps": [[0, 101, np.deg2rad(-1.75)]], "sentences": ["a step was lost"]}
     at = {"lost": [100, -1.8]}
-    assert limits.jumps([{"table": found, **at}]) == 1.0
+    assert trials.jumps([{"table": found, **at}]) == 1.0
     for wrong in ({"jumps": []}, {"jumps": [[0, 110, np.deg2rad(-1.8)]]}, {"jumps": 2 * found["jumps"]}):
-        assert limits.jumps([{"table": found | wrong, **at}]) == 0.0
+        assert trials.jumps([{"table": found | wrong, **at}]) == 0.0
 
 
 def test_what_is_missing_or_failed_is_no_success():
-    limit = Limit("good", "better", limits.better, low=2)
-    for trials, word in (
+    limit = Limit("good", "better", trials.better, low=2)
+    for own, word in (
         ([], "not run"),
         ([{"problem": "no plane"}], "no result"),
         ([*TWO, {"problem": ""}], "**no**"),
     ):
-        found, missed = rows((limit,), {"good": trials})
+        found, missed = rows((limit,), {"good": own})
         assert missed == 1 and word in " ".join(found[0])
     found, missed = rows((limit,), {"good": TWO})
     assert missed == 0 and found[0][-1] == "yes"
