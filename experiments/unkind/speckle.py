@@ -4,7 +4,8 @@
 
 Worlds of `experiments.unkind.simulated` with a lens at f/4 and a laser whose speckle has such a contrast on one pixel,
 each calibrated as a user does, camera, sheet and axis from one capture of boards, by jaxscan and by the plain method.
-Figures are printed beside their limits; the exit code is 1 if one is missed. `--worlds` keeps what is made, for reuse.
+Every figure is printed beside its limit; the exit code is 1 if one is missed. With `--worlds` captures and figures are
+kept, and what is there is not made again.
 """
 
 import json
@@ -18,6 +19,7 @@ import numpy as np
 from experiments.report import Figure, command_line, conclude, figure_table, machine, progress, rms
 from experiments.unkind import judge, simulated
 from experiments.unkind.figures import AMPLITUDES, figure
+from jaxscan.errors import CalibrationError
 from jaxscan.simulation import SimulationConfig
 
 
@@ -136,12 +138,16 @@ def main() -> int:
     found: list[Figure] = []
     with tempfile.TemporaryDirectory() as scratch:
         for contrast in options.contrasts:
-            worlds = []
+            worlds, refused = [], 0
             for seed in range(first, last + 1):
                 name = f"speckle_{contrast:g}_{seed}"
-                worlds.append(measure(seed, contrast, (options.worlds or Path(scratch)) / name))
-                progress(f"{name}: {judged(worlds[-1])}")
-            found += figures_of(contrast, worlds)
+                try:
+                    worlds.append(measure(seed, contrast, (options.worlds or Path(scratch)) / name))
+                    progress(f"{name}: {judged(worlds[-1])}")
+                except CalibrationError as problem:
+                    refused += 1
+                    progress(f"{name}: {problem}")
+            found += [Figure(f"{contrast:g} worlds refused", refused, "1", high=0), *figures_of(contrast, worlds)]
     if options.results:
         text = f"{HEAD.strip()}\n\nSeeds {first} to {last}; {machine()}.\n\n{figure_table(found)}\n"
         (options.results / "speckle.md").write_text(text)

@@ -143,20 +143,24 @@ def _links(
 ) -> Float[np.ndarray, "3 profiles lines"]:
     """Numbers of neighbours that go on with each: on the same line, in the same profile, and elsewhere."""
     profiles, lines = valid.shape
-    counts = np.zeros((3, profiles, lines), np.float32)
     place = np.where(valid, u, np.inf).astype(np.float32)
-    for p in range(min(_PROFILES, profiles - 1) + 1):
-        for k in range(-_LINES if p else 1, min(_LINES, lines - 1) + 1):
-            if abs(k) >= lines:
-                continue
-            one = np.s_[: profiles - p, max(-k, 0) : lines - max(k, 0)]
-            other = np.s_[p:, max(k, 0) : lines - max(-k, 0)]
-            near = np.float32(_NOISE_PX + _SLOPE * line_step * abs(k) + drift_px * p)
-            with np.errstate(invalid="ignore"):
-                goes_on = np.abs(place[one] - place[other]) <= near
-            kind = counts[0 if k == 0 else 1 if p == 0 else 2]
-            kind[one] += goes_on
-            kind[other] += goes_on
+    wide = np.pad(place, ((_PROFILES, _PROFILES), (_LINES, _LINES)), constant_values=np.inf)
+    own, alone, others = counts = np.zeros((3, profiles, lines), np.float32)
+
+    def goes_on(p: int, k: int) -> np.ndarray:
+        other = wide[_PROFILES + p :, _LINES + k :][:profiles, :lines]
+        with np.errstate(invalid="ignore"):
+            return np.abs(place - other) <= _NOISE_PX + _SLOPE * line_step * abs(k) + drift_px * abs(p)
+
+    for k in range(-_LINES, _LINES + 1):
+        if k != 0:
+            alone += goes_on(0, k)
+        for side in (-1, 1):
+            unbroken = valid
+            for p in range(1, _PROFILES + 1):
+                # Print that repeats itself comes back in a later profile, but is not in all between.
+                unbroken = unbroken & goes_on(side * p, k)
+                (others if k else own)[...] += unbroken
     return counts
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 import numpy as np
+from jaxtyping import Bool, Float
 
 from jaxscan.errors import CaptureError
 from jaxscan.geometry import Array, Scanner
@@ -20,7 +21,7 @@ from jaxscan.reconstruction.decoys import Decoys, DecoyWatch, judge_sweep
 from jaxscan.reconstruction.plan import Plan, plan_sweep
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches, colour_exposure, place, rows_of
-from jaxscan.reconstruction.without_off import dark_room, predicts, with_off
+from jaxscan.reconstruction.without_off import GIVEN, Dark, darks, predicts, with_off
 from jaxscan.stripes import (
     KEPT_FIELDS,
     BlackLevelError,
@@ -45,8 +46,20 @@ from jaxscan.stripes import (
 
 LEARNED_RECORDS = 8
 """Records at the start of a sweep from which noise and colours are learned where they are not given."""
-_AS_MANY = 0.95
-"""Stripes before an even room, over those before a predicted one, that it has at least [1]."""
+_APART = 4
+"""Lines from a centre to those on both sides with which it should be straight: the errors of the next ones are alike in
+mosaics and compressed frames."""
+_STRAIGHT_PX, _SAME_PX = 1.0, 2.0
+"""Bend up to which three centres are a continuous surface, and distance up to which two are of one stripe [px]."""
+_BETTER = 1.2
+"""Straight pieces over their variance, in those with the usual laser-off frames, from which others are taken [1]."""
+_MOST_SAID = 10.0
+_SAID = {
+    "given": "the given laser-off picture",
+    "predicted": "what all channels predict",
+    "alone": "what each channel predicts by itself",
+    "even": "one colour",
+}
 
 
 class Extraction(NamedTuple):
@@ -132,16 +145,10 @@ def extract_part(
         noise: Noise of a frame; learned where not given.
         progress: Called with (records done, records of the part) after every chunk.
     """
-    coming = with_off(plan)
-    ahead = [next(coming)]
-    while sum(len(chunk.on) for chunk in ahead) < min(LEARNED_RECORDS, len(plan.sweep)):
-        ahead.append(next(coming))
-    learned = learn(plan, _first(ahead), noise=noise)
-    frames = _replayed(ahead, coming)
-    if learned.predicted:
-        learned, room = _before_what(learned, _first(ahead))
-        frames = frames if room is None else with_off(plan, room)
-    watch = DecoyWatch(plan, predicted=learned.predicted, first=before)
+    ahead, coming = _ahead(plan)
+    learned = _learn_straightest(plan, _first(ahead), noise)
+    frames = with_off(plan, learned.dark) if learned.chosen else _replayed(ahead, coming)
+    watch = DecoyWatch(plan, predicted=learned.dark.source != "given", first=before)
     if part is not None:
         for batch in batches(plan.sweep, plan.size, frames):
             learned = learned.taught_by(batch)
@@ -210,8 +217,10 @@ class Learned:
     """With their colours."""
     engines: dict[int, StripeEngine]
     """Of each laser of the sweep."""
-    predicted: bool
-    """Whether laser-off frames are predicted."""
+    dark: Dark
+    """Where the laser-off frames come from."""
+    chosen: bool = False
+    """Whether these are others than the usual ones."""
     taught: frozenset[int] = frozenset()
     """Lasers whose width and speckle are known."""
     of_frame: LearnedNoise | None = None
@@ -265,52 +274,82 @@ class Learned:
         return stripe_colours(found.stripes, off, self.plan.frames, self.plan.stripe_axis)
 
 
-def _before_what(predicted: Learned, first: FrameChunk) -> tuple[Learned, np.ndarray | None]:
-    """What is learned where the laser-off frames are as predicted; or, where next to nothing but the laser is seen and
-    lines are straighter before a frame of one colour, what is learned so, and that frame."""
-    plan = predicted.plan
-    room = dark_room(plan.sweep, first.on)
-    if room is None:
-        return predicted, None
-    even = FrameChunk(first.on, np.broadcast_to(room, first.on.shape))
-    # Noise is that of the same frames.
-    known = predicted.of_frame
-    other = learn(plan, even, noise=next(iter(predicted.engines.values())).noise, predicted=False)
-    (bends, count), (others, seen) = (_bends(one, chunk) for one, chunk in ((predicted, first), (other, even)))
-    if not len(others) or seen < _AS_MANY * count or (len(bends) and _straightness(others) >= _straightness(bends)):
-        return predicted, None
-    told = "laser-off images are taken as even: next to nothing but the laser is seen, and its lines are straighter so"
-    return dataclasses.replace(other, of_frame=known, notes=(*predicted.notes, told)), room
+def _learn_straightest(plan: Plan, usual: FrameChunk, noise: NoiseModel | None) -> Learned:
+    """What is learned with the laser-off frames that make lines straightest: the usual ones, unless others do by far.
+
+    Args:
+        usual: The first records with the laser-off frames that the sweep usually has.
+        noise: As of `learn`.
+    """
+    first, *others = darks(plan.sweep, usual)
+    taken = best = learn(plan, usual, noise=noise, dark=first)
+    if not others:
+        return best
+    lines, gained = _Lines.of(best, usual), 1.0
+    if first.source == "predicted":
+        # Noise is that of the same frames.
+        noise = next(iter(best.engines.values())).noise
+    for dark in others:
+        chunk = _first(_ahead(plan, dark)[0])
+        other = learn(plan, chunk, noise=noise, dark=dark)
+        found = _Lines.of(other, chunk)
+        gain = found.over(lines)
+        if gain > _BETTER:
+            taken, lines, gained = other, found, gained * gain
+    if taken is best:
+        return best
+    told = (
+        f"the laser-off images are {_SAID[taken.dark.source]}: on continuous surfaces this gives "
+        f"{min(gained, _MOST_SAID):.1f} times the information that {_SAID[first.source]} gives"
+    )
+    known = taken.of_frame or best.of_frame
+    return dataclasses.replace(taken, chosen=True, of_frame=known, notes=(*(taken.notes or best.notes), told))
 
 
-def _bends(learned: Learned, first: FrameChunk) -> tuple[np.ndarray, int]:
-    """Departures of the centres from the middle of those on both sides [px], and the number of stripes."""
-    bends, count = [], 0
-    for batch in batches(learned.plan.sweep, learned.plan.size, [first]):
-        learned = learned.taught_by(batch)
-        found = learned.find_shared(batch)
-        stripes, step = chosen_of(found.stripes, found.chosen), learned.engines[batch.laser].setup.sites.line_step
-        u, valid = np.asarray(stripes.u), np.asarray(stripes.valid)
-        parts = [np.s_[:, : -2 * step], np.s_[:, step:-step], np.s_[:, 2 * step :]]
-        whole = np.logical_and.reduce([valid[part] for part in parts])
-        before, here, after = (u[part][whole] for part in parts)
-        bends.append(here - 0.5 * (before + after))
-        count += int(np.count_nonzero(valid))
-    return np.concatenate(bends), count
+class _Lines(NamedTuple):
+    """The stripes of the first frames [profiles, lines], one of each line."""
+
+    u: Float[np.ndarray, "profiles lines"]
+    valid: Bool[np.ndarray, "profiles lines"]
+    step: int
+    """Distance of lines that carry the laser's colour."""
+
+    @classmethod
+    def of(cls, learned: Learned, first: FrameChunk) -> "_Lines":
+        found = []
+        for batch in batches(learned.plan.sweep, learned.plan.size, [first]):
+            learned = learned.taught_by(batch)
+            chunk = learned.find_shared(batch)
+            stripes = chosen_of(chunk.stripes, chunk.chosen)
+            found.append((np.asarray(stripes.u), np.asarray(stripes.valid)))
+        u, valid = (np.concatenate(parts) for parts in zip(*found, strict=True))
+        return cls(u, valid, learned.engines[batch.laser].setup.sites.line_step)
+
+    def bends(self) -> tuple[np.ndarray, np.ndarray]:
+        """Distances of centres from the middle of those some lines away [px], and where all three are."""
+        apart = -(-_APART // self.step) * self.step
+        parts = np.s_[:, : -2 * apart], np.s_[:, apart:-apart], np.s_[:, 2 * apart :]
+        before, here, after = (self.u[part] for part in parts)
+        return here - 0.5 * (before + after), np.logical_and.reduce([self.valid[part] for part in parts])
+
+    def over(self, other: "_Lines") -> float:
+        """Straight pieces over their variance, in those of other stripes [1]: bends are compared on the same lines."""
+        same = self.valid & other.valid & (np.abs(self.u - other.u) < _SAME_PX)
+        (own, whole), (others, there) = self.bends(), other.bends()
+        straight = [np.count_nonzero(k & (np.abs(b) < _STRAIGHT_PX)) for b, k in ((own, whole), (others, there))]
+        shared = self._replace(valid=same).bends()[1]
+        # Whatever edges do.
+        scatter = [float(np.quantile(np.abs(b[shared]), 0.683)) if shared.any() else 1.0 for b in (own, others)]
+        return straight[0] / max(straight[1], 1) * (max(scatter[1], 1e-3) / max(scatter[0], 1e-3)) ** 2
 
 
-def _straightness(bends: np.ndarray) -> float:
-    """Their standard deviation, whatever edges do."""
-    return float(np.quantile(np.abs(bends), 0.683))
-
-
-def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None, predicted: bool | None = None) -> Learned:
+def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None, dark: Dark = GIVEN) -> Learned:
     """Learn noise and colours, and where stripes are looked for.
 
     Args:
         first: Its first `LEARNED_RECORDS`: a fixed number, so that the result does not depend on the size of chunks.
         noise: Noise of a frame; learned where not given.
-        predicted: Whether laser-off frames are predicted; as the first record says where not given.
+        dark: Where its laser-off frames come from.
 
     Raises:
         CaptureError: If a colour cannot be learned, the black level is above the picture, or stripes of two
@@ -349,11 +388,11 @@ def learn(plan: Plan, first: FrameChunk, *, noise: NoiseModel | None = None, pre
         engines = prepare_engines(first.on, first.off, setups, noise=noise, gates=searched)
     except BlackLevelError as problem:
         raise CaptureError(str(problem)) from problem
-    predicted = predicts(sweep) if predicted is None else predicted
-    if predicted and sweep.bits == 8:
+    if dark.source == "predicted" and sweep.bits == 8:
+        # The other channels are subtracted from the laser's, and have no laser-off frames of their own.
         engines = [engine.own_channel() for engine in engines]
     notes = () if of_frame is None else of_frame.doubts
-    return Learned(plan, lasers, dict(zip(gates, engines, strict=True)), predicted, of_frame=of_frame, notes=notes)
+    return Learned(plan, lasers, dict(zip(gates, engines, strict=True)), dark, of_frame=of_frame, notes=notes)
 
 
 def learned_lasers(sweep: SweepSource) -> tuple[LaserLine, ...]:
@@ -395,6 +434,16 @@ def empty_stripes(profiles: int, lines: int) -> dict[str, np.ndarray]:
         name: np.zeros((profiles, lines), types.get(name, np.float32)) for name in KEPT_FIELDS
     }
     return fields | {"rgb": np.zeros((profiles, lines, 3), np.uint8)}
+
+
+def _ahead(plan: Plan, dark: Dark | None = None) -> tuple[list[FrameChunk], Iterator[FrameChunk]]:
+    """Chunks that hold the first `LEARNED_RECORDS`, and those that follow."""
+    # Each laser's width and speckle are learned from as many.
+    coming = with_off(plan, dark, first=LEARNED_RECORDS * len(np.unique(plan.sweep.laser)))
+    ahead = [next(coming)]
+    while sum(len(chunk.on) for chunk in ahead) < min(LEARNED_RECORDS, len(plan.sweep)):
+        ahead.append(next(coming))
+    return ahead, coming
 
 
 def _first(chunks: Sequence[FrameChunk]) -> FrameChunk:

@@ -1,17 +1,17 @@
-"""Sweeps without laser-off frames: these are predicted from the laser-on frames while they pass by.
+"""Where the laser-off frames of a sweep come from: they are given, one picture for all is, or they are predicted.
 
 A frame is predicted from itself, and, where the camera turns with the table, from what neighbouring steps show. A point
 of the room at one of a few distances is seen at known places of two other steps, whose stripes are elsewhere. Of the
 distances each place takes the one at which both agree with each other and with the frame; that is a plane sweep
 (R. T. Collins, A space-sweep approach to true multi-image matching, CVPR 1996).
 
-Where next to nothing but the laser is seen, a frame of one colour may do better: it leaves the laser in all channels.
+Where there is a choice, the first frames decide by which of them lines are straightest.
 """
 
 import dataclasses
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
-from typing import NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 from jaxtyping import Float, UInt8
@@ -44,9 +44,43 @@ _DARK_SHARE, _DARK_DN = 0.9, 16.0
 """Part of the pixels of a dark room that are hardly brighter than its median, and by how much they are [DN]."""
 
 
+class Dark(NamedTuple):
+    """Laser-off frames of one source."""
+
+    source: Literal["given", "predicted", "alone", "even"]
+    """As the sweep has them; predicted by all channels; every channel by itself alone; or one colour everywhere."""
+    room: UInt8[np.ndarray, "..."] | None = None
+    """The frame, where it is of one colour."""
+
+
+GIVEN = Dark("given")
+
+
 def predicts(sweep: SweepSource) -> bool:
-    """Whether laser-off frames are predicted, as the first record says."""
-    return _can_predict(sweep) and next(sweep.chunks(1)).off is None
+    """Whether laser-off frames may be predicted, as the first records say: none is given, or one picture for all."""
+    return _can_predict(sweep) and _is_one(next(sweep.chunks(2)).off)
+
+
+def _is_one(off: Array | None) -> bool:
+    return off is None or (len(off) > 1 and bool(np.array_equal(off[0], off[1])))
+
+
+def darks(sweep: SweepSource, first: FrameChunk) -> list[Dark]:
+    """The laser-off frames that a sweep may have, the usual first.
+
+    Args:
+        first: Its first frames, as `with_off` gives them.
+    """
+    if not predicts(sweep):
+        return [GIVEN]
+    given = next(sweep.chunks(1)).off is not None
+    found = [GIVEN if given else Dark("predicted")]
+    if len(sweep.exposures) > 1:
+        return found
+    found += [Dark("predicted")] if given else []
+    found += [Dark("alone")] if sweep.pixel_format != "mono8" else []
+    room = dark_room(sweep, first.on)
+    return found if room is None else [*found, Dark("even", room)]
 
 
 def _can_predict(sweep: SweepSource) -> bool:
@@ -77,53 +111,59 @@ def dark_room(sweep: SweepSource, on: Array) -> UInt8[np.ndarray, "..."] | None:
     return room
 
 
-def with_off(plan: Plan, room: UInt8[np.ndarray, "..."] | None = None) -> Iterator[FrameChunk]:
-    """The chunks of a sweep; of one without laser-off frames, with predicted ones, or with one frame for all."""
+def with_off(plan: Plan, dark: Dark | None = None, *, first: int | None = None) -> Iterator[FrameChunk]:
+    """The chunks of a sweep with laser-off frames.
+
+    Args:
+        dark: Which; those that are given, and predicted ones where none are, where not said.
+        first: Records of the first chunk of predicted ones; as of the others where not given.
+    """
     sweep, size = plan.sweep, plan.size
     if not _can_predict(sweep):
         yield from sweep.chunks(size)
         return
     kept: list[np.ndarray] = []
-    first, done = 0, 0
+    start, done, count = 0, 0, size if first is None else min(first, size)
     with ThreadPoolExecutor(workers()) as pool:
         for chunk in sweep.chunks(size):
-            if chunk.off is not None:
+            if chunk.off is not None and (dark is None or dark.source == "given"):
                 yield chunk
                 continue
-            if room is not None:
-                yield FrameChunk(chunk.on, np.broadcast_to(room, chunk.on.shape))
+            if dark is not None and dark.room is not None:
+                yield FrameChunk(chunk.on, np.broadcast_to(dark.room, chunk.on.shape))
                 continue
             kept += list(np.asarray(chunk.on))
-            last = first + len(kept) == len(sweep)
-            while done < len(sweep) and (last or done + size + _FARTHEST <= first + len(kept)):
-                records = range(done, min(done + size, len(sweep)))
-                known = {first + k: frame for k, frame in enumerate(kept)}
-                off = pool.map(lambda k, known=known: _off(plan, k, known), records)
-                on = np.stack(kept[done - first : records.stop - first])
+            last = start + len(kept) == len(sweep)
+            while done < len(sweep) and (last or done + count + _FARTHEST <= start + len(kept)):
+                records = range(done, min(done + count, len(sweep)))
+                known = {start + k: frame for k, frame in enumerate(kept)}
+                alone = dark is not None and dark.source == "alone"
+                off = pool.map(lambda k, known=known, alone=alone: _off(plan, k, known, alone), records)
+                on = np.stack(kept[done - start : records.stop - start])
                 yield FrameChunk(on, np.stack(list(off)))
-                done = records.stop
-                passed = max(0, done - _FARTHEST - first)
-                first, kept = first + passed, kept[passed:]
+                done, count = records.stop, size
+                passed = max(0, done - _FARTHEST - start)
+                start, kept = start + passed, kept[passed:]
 
 
-def _off(plan: Plan, record: int, frames: dict[int, np.ndarray]) -> np.ndarray:
+def _off(plan: Plan, record: int, frames: dict[int, np.ndarray], alone: bool) -> np.ndarray:
     """The laser-off frames of a record, of all its exposures."""
     bracket = len(plan.sweep.exposures) > 1
     stacks = {k: frame if bracket else frame[None] for k, frame in frames.items()}
     parts = [
-        _predicted(plan, record, {k: stack[e : e + 1] for k, stack in stacks.items()})
+        _predicted(plan, record, {k: stack[e : e + 1] for k, stack in stacks.items()}, alone)
         for e in range(len(stacks[record]))
     ]
     return np.concatenate(parts) if bracket else parts[0][0]
 
 
-def _predicted(plan: Plan, record: int, frames: dict[int, np.ndarray]) -> np.ndarray:
+def _predicted(plan: Plan, record: int, frames: dict[int, np.ndarray], alone: bool) -> np.ndarray:
     sweep, own = plan.sweep, frames[record]
     (laser, *_) = sweep.laser[sweep.record == record].tolist() or [0]
     line = dataclasses.replace(sweep.lasers[laser], name="laser")
     neighbours, sites = _neighbours(plan, record, frames), laser_sites(sweep.pixel_format, line)
     if not neighbours or len(sites.offsets) > 1:
-        return predict_off(own, sweep.pixel_format, line)
+        return predict_off(own, sweep.pixel_format, line, alone=alone)
     seen, *others = (read_channels(frames[k], sweep.pixel_format, line) for k in (record, *neighbours))
     near, far = max(plan.settings.min_range_m, _NEAREST_M), min(plan.settings.max_range_m, _FARTHEST_M)
     ranges = 1.0 / np.linspace(1.0 / min(near, far), 1.0 / max(near, far), _RANGES)
@@ -133,7 +173,7 @@ def _predicted(plan: Plan, record: int, frames: dict[int, np.ndarray]) -> np.nda
         for k in neighbours
     ]
     elsewhere = moved(seen, (others[0], others[1]), (where[0], where[1]))
-    return predict_off(own, sweep.pixel_format, line, elsewhere=elsewhere)
+    return predict_off(own, sweep.pixel_format, line, elsewhere=elsewhere, alone=alone)
 
 
 def _neighbours(plan: Plan, record: int, frames: dict[int, np.ndarray]) -> list[int]:

@@ -7,6 +7,9 @@ that is most like the laser's channel L away from all stripes, the prediction is
 the running median along the line. Where the laser's channel is clipped, the others see the laser too: there M is its
 own running median.
 
+Where all channels see the laser, the others would take some of it away: then each is predicted by itself, along the
+line.
+
 Of several predictions each place takes the one that its surroundings bear out, and what is left of the median of the
 difference is added, so that the prediction is right on average around every stripe.
 """
@@ -64,34 +67,49 @@ class Channels(NamedTuple):
 
 
 def predict_off(
-    on: Array, pixel_format: PixelFormat, line: LaserLine, *, elsewhere: Channels | None = None
+    on: Array, pixel_format: PixelFormat, line: LaserLine, *, elsewhere: Channels | None = None, alone: bool = False
 ) -> UInt8[np.ndarray, "frames ..."]:
     """Laser-off frames for laser-on frames that have none; each from its own frame alone.
 
     Args:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         elsewhere: Levels that other frames predict for the only frame, taken where they are good.
+        alone: Whether every channel is predicted without the others, which see the laser too.
 
     Returns:
-        Frames of the same shape: the laser's channel predicted; the others as they are, and along the line where the
-        laser's is clipped, as they see the laser there.
+        Frames of the same shape: the laser's channel predicted; the others, unless `alone`, as they are, and along the
+        line where the laser's is clipped, as they see the laser there.
     """
     on = np.asarray(on)
     off = on.copy()
     for k in range(len(on)):
-        part, pitch = slice(k, k + 1), laser_sites(pixel_format, line).pitch
-        seen = read_channels(on[part], pixel_format, line)
+        part = slice(k, k + 1)
+        if alone and pixel_format != "mono8":
+            for number, one in enumerate(_colours_of(line)):
+                seen = Channels(np.ascontiguousarray(laser_plane(on[part], pixel_format=pixel_format, line=one)), ())
+                pitch, moved = laser_sites(pixel_format, one).pitch, None
+                # The other channels of a mosaic have pixels of their own.
+                if elsewhere is not None and (number == 0 or pixel_format == "rgb8"):
+                    moved = Channels((elsewhere.laser, *elsewhere.others)[number], ())
+                room = _room(seen, moved, _clipped(seen.laser, pitch), _PLACES // pitch)
+                put_plane(off[part], _codes(room), pixel_format=pixel_format, line=one)
+            continue
+        seen, pitch = read_channels(on[part], pixel_format, line), laser_sites(pixel_format, line).pitch
         clipped, places = _clipped(seen.laser, pitch), _PLACES // pitch
         room = _room(seen, elsewhere, clipped, places)
         put_plane(off[part], _codes(room), pixel_format=pixel_format, line=line)
         near = _near(seen.laser >= _CLIPPED, 3 * places // 2)
         if pixel_format != "rgb8" or not near.any():
             continue
-        for colour, plane in zip([one for one in _COLOURS if one != line.colour], seen.others, strict=True):
-            other = dataclasses.replace(line, colour=colour)
+        for other, plane in zip(_colours_of(line)[1:], seen.others, strict=True):
             cleared = _codes(_put(plane, near, _along(plane, places, near)))
             put_plane(off[part], cleared, pixel_format="rgb8", line=other)
     return off
+
+
+def _colours_of(line: LaserLine) -> list[LaserLine]:
+    """The line as each channel sees it, the laser's own first."""
+    return [line, *(dataclasses.replace(line, colour=one) for one in _COLOURS if one != line.colour)]
 
 
 def _codes(room: Planes) -> UInt8[np.ndarray, "frames lines samples"]:

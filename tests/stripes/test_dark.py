@@ -66,6 +66,20 @@ def test_where_the_stripe_is_clipped_the_other_channels_are_taken_along_the_line
     assert valid.mean() > 0.99 and np.max(error[valid]) < 0.3
 
 
+@pytest.mark.parametrize("pixel_format", ["rgb8", "bayer_rggb8"])
+def test_each_channel_alone_leaves_the_laser_in_all(sensor, pixel_format):
+    # A white line on an even grey surface: the other channels take it all away.
+    u = 100.0 + 0.2 * np.arange(ROWS)
+    stripe = 120.0 * np.exp(-0.5 * ((np.arange(COLUMNS)[None, :] - u[:, None]) / 1.5) ** 2)
+    on = sensor().expose(np.repeat((40.0 + stripe)[..., None], 3, 2))[None]
+    on = on if pixel_format == "rgb8" else np.ascontiguousarray(on[..., 0])
+    together, alone = (predict_off(on, pixel_format, LaserLine(), alone=one).astype(float) for one in (False, True))
+    # A running median of 25 samples with read noise.
+    assert np.abs(alone - 40.0).mean() < 2.0
+    if pixel_format == "rgb8":
+        assert together[..., 0].max() > 100.0
+
+
 @pytest.mark.parametrize("axis", ["rows", "columns"])
 @pytest.mark.parametrize("colour", ["red", "green", "blue"])
 @pytest.mark.parametrize("pixel_format", PIXEL_FORMATS)
