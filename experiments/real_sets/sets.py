@@ -89,6 +89,15 @@ HJAMAL = ("hjamal3/Light-Stripe-Calibration", "64ce9a67b32ad91e1f22ece0712a61765
 STEREO = ("sourishg/stereo-calibration", "257888988de4a1be1012effb41a6a756929f537a", NONE)
 FISHEYE = ("sourishg/fisheye-stereo-calibration", "e3074ab16e9768f6df705e91f15dca64b292f85b", NONE)
 CICLOP = ("Jesus89/3DScanScience", "29d70ad33084d965d2178730f447ff9aa95acc46", "CC BY-SA 4.0")
+ILJA = ("IljaRukin/3D_line_laser_scanner", "ea14966e52bf69f12a6608da70b30c4aa159a118", NONE)
+TING = ("tingzhushaohua/binocularLaserScanner", "c4fcca10bd9d7d7ed5fa912edff3d7b4d677716d", NONE)
+GOPRO = ("derlunz/opencv-fisheye-calibration-set", "067e45d01f60a964e78c952a6cc4b6ae89203cdc", "GPL-3.0")
+OCAM = ("jakarto3d/py-OCamCalib", "2fb7bfdf86f8a723b3a796a972011b537d7c7250", "GPL-2.0")
+SONG = (
+    "SONG-KUN/A-novel-approach-for-Camera-and-Laser-line-calibration",
+    "6a88671a98a622311ea94fd4040df89c18a39cff",
+    NONE,
+)
 OPENCV = ("opencv/opencv", "samples/data", "Apache-2.0")
 MOST = 60
 """Boards of one set: more of the same hand-held board say little more and cost minutes."""
@@ -268,6 +277,52 @@ SETS: tuple[RealSet, ...] = (
         boards(chessboard(9, 6, 24.23)),
         plain_boards("imgs", r"right\d+\.jpg"),
         lens=("--lens", "fisheye"),
+    ),
+    RealSet(
+        "ilja",
+        *ILJA,
+        "a Raspberry Pi's camera, hand-held chessboard of a printed page (side of a square assumed)",
+        boards(chessboard(9, 6, 25.0)),
+        plain_boards("rectification/images", r"image\d+\.jpg"),
+    ),
+    *(
+        RealSet(
+            f"ting_{side.lower()}",
+            *TING,
+            f"{side.lower()} camera of a scanner with two cameras and a turning laser (side of a square assumed)",
+            boards(chessboard(9, 6, 30.0), pixel_format="mono8"),
+            plain_boards("SystemCalibration/testPic", rf"{side}\d+\.jpg"),
+        )
+        for side in ("Left", "Right")
+    ),
+    RealSet(
+        "gopro",
+        *GOPRO,
+        "a GoPro Hero 3+, published because OpenCV's fisheye solve fails on it",
+        boards(chessboard(15, 9, 26.0), pixel_format="mono8"),
+        plain_boards(".", r"3D_L\d+\.JPG"),
+        lens=("--lens", "fisheye"),
+    ),
+    *(
+        RealSet(
+            f"ocam_{number}",
+            *OCAM,
+            f"fisheye lens {number} of Scaramuzza's toolbox: grey, boards up to the rim",
+            boards(chessboard(8, 6, side_mm), pixel_format=pixels),
+            plain_boards(f"test_images/fish_{number}", r"Fisheye\d_\d+\.jpg"),
+            lens=("--lens", "fisheye"),
+        )
+        for number, side_mm, pixels in ((1, 32.5, "rgb8"), (2, 117.0, "mono8"))
+    ),
+    RealSet(
+        "songkun",
+        *SONG,
+        "rendered, not photographed: a dark board with a blue line, after 30 boards without one",
+        boards(chessboard(11, 6, 60.0), laser=[{"colour": "blue", "stripe_axis": "columns"}]),
+        both(
+            plain_boards("cameraIntrinsic/intrinsic_imageSet", r"intrinsic\d+\.png"),
+            lit_boards("calibrationSystem", r"systemCalibration\d+\.png"),
+        ),
     ),
     RealSet(
         "opencv_left",

@@ -70,7 +70,7 @@ def run(world: Path, config: str) -> int:
         poses = desk.camera.control("poses")
         free = sum(pose["kind"] == "free" for pose in poses)
         print(f"The bench is set up. Port: {desk.rig.port}   camera: {desk.camera.address}")
-        print(f"In another terminal, type:\n\n    jaxscan scan configs/{config} -o captures/bench\n")
+        print(f"In another terminal, type:\n\n    jaxscan doctor --config configs/{config}\n")
         print(f'or, to scan from a web page,\n\n    jaxscan console configs/{config} --place-command "{PLACE}"\n')
         print(f"The board has {len(poses)} poses: {free} free views, then {len(poses) - free} placements.\n{HELP}\n")
         attend(desk)

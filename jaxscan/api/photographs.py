@@ -112,6 +112,7 @@ def open_photographs(
     """
     if not all(record.off for record in capture.records):
         raise CaptureError(f"{capture.path}: has no laser-off images, and photographs of the room are such.")
+    scanner = scanner.along(capture.poses)
     size = scanner.camera.width, scanner.camera.height
     if capture.image_size != size:
         raise CalibrationError(
@@ -143,7 +144,7 @@ def colour_cloud(cloud: PointCloud, capture: Capture, scanner: Scanner, *, progr
     told = Stages(progress, (Stage(2.3, 0.045 * images),)).part(0)
     photographs = open_photographs(capture, scanner, "points", progress=told)
     own, _ = in_scanner_frame(cloud)
-    occluder = make_occluder(own, scanner)
+    occluder = make_occluder(own, scanner.along(capture.poses))
     points = own.points()
     found, _ = colour_points(photographs, points.xyz, points.normals, occluder=occluder, start=points.rgb)
     rgb = np.zeros_like(np.asarray(cloud.rgb))

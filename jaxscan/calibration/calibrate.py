@@ -13,6 +13,7 @@ from jaxscan.calibration.adjust import Adjustment, adjust, not_converged, undete
 from jaxscan.calibration.board_shape import ShapeChoice, choose_shape, describe_board
 from jaxscan.calibration.conclude import conclude
 from jaxscan.calibration.first_values import average_placements, seed_camera, seed_motion, seed_poses
+from jaxscan.calibration.hand_eye import with_hand
 from jaxscan.calibration.problem import Prepared, Problem, bend_of, make_problem, prepare
 from jaxscan.calibration.result import Calibration, SecondLook
 from jaxscan.calibration.rigs import NOTHING_KNOWN, Holdings, KnownParts, Rig, has_moved, largest_rig
@@ -20,6 +21,7 @@ from jaxscan.calibration.settings import CAMERA_BLOCKS, CalibrationSettings
 from jaxscan.calibration.sheets import seed_sheets
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import (
+    MOTIONS,
     AbstractCamera,
     AbstractMotion,
     LaserSheet,
@@ -63,6 +65,8 @@ class Estimate:
     camera: AbstractCamera
     """With its size, and without coefficients that nobody asked for."""
     seconds: float
+    hand: AbstractMotion | None = None
+    """First values of the place of the camera on a hand whose poses are given."""
 
 
 def calibrate_observations(
@@ -123,7 +127,8 @@ def estimate(
         try:
             motion = known.motion if rig.moves else Still()
             if motion is None:
-                motion = seed_motion(poses, data, observations.carries, observations.up)
+                motion = seed_motion(poses, data, observations)
+            motion, hand = (Still(), motion) if observations.poses is not None else (motion, None)
             named = _named(camera, observations, settings)
             lasers, observations, reasons = _first_sheets(data, named, poses, observations, rig, known)
         except CalibrationError:
@@ -138,14 +143,14 @@ def estimate(
             rig = replace(rig, lasers=solved, missing=(*rig.missing, *reasons.values()))
             data = prepare(observations) if solved else _without_stripes(data)
             given = with_lasers(given, solved) if solved else observations
-        # Without a motion that is known, every view has a pose of its own.
-        data = data if rig.moves else _apart(data)
+        # Without a motion that is known, and where poses are given, every view has a pose of its own.
+        data = _apart(data) if isinstance(motion, Still) else data
         placements = average_placements(poses, data, motion)
         problem = make_problem(camera, stack_lasers(lasers), motion, placements, data, settings)
         result = _pointed_up(adjust(problem, data, settings), observations, settings)
         result, shape = choose_shape(result, observations, settings)
         named = _named(result.problem.camera, observations, settings)
-    return Estimate(result, shape, observations, given, rig, named, time.perf_counter() - started)
+    return Estimate(result, shape, observations, given, rig, named, time.perf_counter() - started, hand)
 
 
 def judge(found: Estimate, *, settings: CalibrationSettings, known: KnownParts = NOTHING_KNOWN) -> Calibration:
@@ -158,6 +163,9 @@ def judge(found: Estimate, *, settings: CalibrationSettings, known: KnownParts =
     with jax.enable_x64(True), _contradictions():
         calibration = conclude(found.adjustment, found.camera, found.observations, settings, found.given)
         board = describe_board(found.adjustment, found.observations, calibration, found.shape)
+        if found.rig.moves and found.hand is not None and found.adjustment.converged:
+            held = "axis" in known.held()
+            calibration = with_hand(calibration, found.adjustment, found.observations, found.hand, held=held)
     seconds = found.seconds + time.perf_counter() - started
     quality = replace(calibration.quality, board=board, seconds=seconds)
     provenance = {**calibration.provenance, "held": list(known.held())} if known.held() else calibration.provenance
@@ -291,7 +299,7 @@ def _stand_ins(rig: Rig) -> tuple[LaserSheet, AbstractMotion]:
     # Any: they are held, and meet no observation.
     sheet = LaserSheet.from_plane(np.array([1.0, 0.0, 0.0]), 1.0)
     motion: AbstractMotion = Still()
-    if rig.moves:
+    if rig.moves and MOTIONS[rig.carries].unit != "pose":
         shapes = {key: field.shape for key, field in motion_class(rig.carries).fields.items()}
         motion = motion_of(rig.carries, **{key: [1.0, 0.0, 0.0] for key, shape in shapes.items() if shape == (3,)})
     return stack_lasers([sheet] * len(rig.lasers)), motion

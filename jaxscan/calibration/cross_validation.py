@@ -72,6 +72,12 @@ class Split(NamedTuple):
         step[self.free] = np.sqrt(1.0 - share) / self.per_error * self.difference * unit
         return step
 
+    def noise(self, scales: np.ndarray) -> np.ndarray:
+        """What noise does to the difference [directions, shared], in the units of the unknowns."""
+        steps = np.zeros((self.dof, len(scales)))
+        steps[:, self.free] = (np.linalg.pinv(self.whiten) * np.sqrt(self.scatter)).T * scales[self.free]
+        return steps
+
 
 def compare_halves(
     result: Adjustment, settings: CalibrationSettings, promise: tuple[float, np.ndarray | float]

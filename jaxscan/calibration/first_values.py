@@ -14,18 +14,19 @@ from jaxscan.geometry import (
     AbstractCamera,
     AbstractMotion,
     CameraModel,
-    Carries,
     LaserSheet,
     apply_homography,
     carrying,
+    compose,
     direct_homography,
     fit_plane,
+    invert,
     motion_class,
     nearest_rotation,
     point_up,
 )
-from jaxscan.geometry.scanner import Up
 from jaxscan.leastsq import MEDIAN_TO_SIGMA
+from jaxscan.observation import Observations
 
 
 # A board is looked at along its middle ray: beyond this cosine of the angle from it, tangents mean nothing.
@@ -326,12 +327,13 @@ def _rays(q: np.ndarray, focal: float, cubic: float) -> tuple[np.ndarray, np.nda
     return np.concatenate([aside[..., None] * q, np.cos(theta)[..., None]], axis=-1), radius < grown[-1]
 
 
-def seed_motion(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> AbstractMotion:
+def seed_motion(poses: np.ndarray, data: Prepared, observations: Observations) -> AbstractMotion:
     """The motion from placements seen at several positions.
 
     Raises:
         CalibrationError: If no placement was seen from two positions, or the boards did not move like that.
     """
+    carries, given_poses = observations.carries, observations.poses
     kind, pairs = MOTIONS[carries], list[tuple[int, int]]()
     for number in np.unique(data.placement[data.fixes_pose]):
         views = np.flatnonzero(data.fixes_pose & (data.placement == number)).tolist()
@@ -342,11 +344,15 @@ def seed_motion(poses: np.ndarray, data: Prepared, carries: Carries, up: Up) -> 
             f"{kind.capture}."
         )
     first, second = np.array(pairs).T
+    change = data.angle[second] - data.angle[first]
+    if given_poses is not None:
+        given = np.asarray(given_poses, np.float64)[np.round(data.angle).astype(int)]
+        change = np.asarray(compose(invert(given[first]), given[second]))
     try:
-        motion = motion_class(carries).of_boards(poses[np.array(pairs).T], data.angle[second] - data.angle[first])
+        motion = motion_class(carries).of_boards(poses[np.array(pairs).T], change)
     except ValueError as problem:
         raise CalibrationError(str(problem)) from problem
-    return point_up(carrying(motion, carries), up)
+    return point_up(carrying(motion, carries), observations.up)
 
 
 def average_placements(poses: np.ndarray, data: Prepared, motion: AbstractMotion) -> np.ndarray:

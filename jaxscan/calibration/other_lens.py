@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxscan.calibration.advice import refusal
 from jaxscan.calibration.calibrate import calibrate_observations
-from jaxscan.calibration.propagate import image_places
+from jaxscan.calibration.propagate import RETURNS_PX, image_places
 from jaxscan.calibration.result import Calibration, GoodTo, Verdict, is_named
 from jaxscan.calibration.rigs import KnownParts
 from jaxscan.calibration.settings import CalibrationSettings
@@ -48,11 +48,15 @@ class OtherLens(NamedTuple):
         """Whether it should be taken rather than advised."""
         return self.rms_px < _FAR_BETTER * self.before_px
 
+    def gain(self) -> str:
+        """What it does to the residuals."""
+        return f"brings the residuals of the corners from {self.before_px:.2g} to {self.rms_px:.2g} px"
+
     def said(self) -> str:
         """Why it was taken."""
         return (
-            f"the lens was solved as `{self.option}`, which brings the residuals of the corners from "
-            f"{self.before_px:.2g} to {self.rms_px:.2g} px; without it rays are {self.off_px:.3g} px off over the image"
+            f"the lens was solved as `{self.option}`, which {self.gain()}; without it rays are {self.off_px:.3g} px "
+            "off over the image"
         )
 
 
@@ -123,12 +127,14 @@ def advise_lens(calibration: Calibration, other: OtherLens) -> Calibration:
     verdict = calibration.quality.verdict
     if verdict is None or verdict.good_to is None:
         return calibration
-    line = f"`{other.option}` brings the residuals of the corners from {other.before_px:.2g} to {other.rms_px:.2g} px"
+    line = f"`{other.option}` {other.gain()}"
     verdict = _with_error(replace(verdict, advice=(line, *verdict.advice)), other.off_px)
     sheets = calibration.scanner is not None and bool(calibration.scanner.laser_names)
     refused = verdict.refused or refusal(
         verdict.good_to or GoodTo(), calibration.camera, other.settings, has_sheets=sheets
     )
+    if refused is not None and other.far_better:
+        refused = f"the model of the lens is wrong, {line}"
     verdict = replace(verdict, usable=refused is None, refused=refused)
     return replace(calibration, quality=replace(calibration.quality, verdict=verdict))
 
@@ -138,7 +144,9 @@ def ray_difference(camera: AbstractCamera, other: AbstractCamera) -> float:
     camera, other = (jax.tree.map(np.asarray, one) for one in (camera, other))
     q = image_places(camera)
     there, ray = np.asarray(camera.unproject(q)), np.asarray(other.unproject(q))
-    there, ray, q = (part[np.isfinite(there).all(1) & np.isfinite(ray).all(1)] for part in (there, ray, q))
+    # Where the lens ends, a pixel has no ray, and gets the last one.
+    sees = np.linalg.norm(np.asarray(camera.project(there)) - q, axis=1) < RETURNS_PX
+    there, ray, q = (part[sees & np.isfinite(there).all(1) & np.isfinite(ray).all(1)] for part in (there, ray, q))
     for _ in range(_ROTATION_ROUNDS):
         # Turns of rays by which they come nearest, one small turn after the other.
         turns = np.stack([np.cross(axis, ray) for axis in np.eye(3)], -1).reshape(-1, 3)

@@ -47,7 +47,7 @@ _GRID = (16, 12)
 # Rays are moved by this part of a step, so that the next order is a millionth also of steps that are large.
 _SMALL = 1e-3
 # A lens model that does not come back to a pixel does not reach it.
-_RETURNS_PX = 1e-2
+RETURNS_PX = 1e-2
 
 
 def spread(
@@ -477,7 +477,7 @@ def ray_error(camera: AbstractCamera, steps: Float[np.ndarray, "steps params"]) 
     ray = np.asarray(camera.unproject(q))
     moved = spread(camera, _SMALL * steps, lambda some: np.asarray(some.project(ray))) / _SMALL
     turns = np.asarray(camera.slopes(ray)) @ np.stack([np.cross(axis, ray) for axis in np.eye(3)], -1)
-    reached = np.linalg.norm(np.asarray(camera.project(ray)) - q, axis=1) < _RETURNS_PX
+    reached = np.linalg.norm(np.asarray(camera.project(ray)) - q, axis=1) < RETURNS_PX
     reached &= np.isfinite(moved).all((0, 2)) & np.isfinite(turns).all((1, 2))
     count = int(np.count_nonzero(reached))
     turns, moved = turns[reached].reshape(-1, 3), moved[:, reached].reshape(len(steps), 2 * count).T

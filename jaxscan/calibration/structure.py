@@ -24,7 +24,7 @@ from jaxtyping import Float, Int
 from jaxscan.calibration.adjust import Adjustment
 from jaxscan.calibration.cross_validation import Split, compare_halves, compare_regions, put_back_lines
 from jaxscan.calibration.problem import LEAST_STOP_SIGMA, Problem, corner_pixels, layout_of, move
-from jaxscan.calibration.propagate import TRAVEL_M
+from jaxscan.calibration.propagate import TRAVEL_M, ray_error
 from jaxscan.calibration.result import ModelTest, result_of_test
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.stops import faults_of_motion
@@ -135,7 +135,9 @@ def find_harm(result: Adjustment, settings: CalibrationSettings, given: Observat
         before = np.concatenate([none, *(harm.steps for harm in found)])
         # Boards that bend do more harm to a part of the records than to all: it says nothing about the whole.
         beyond = fails(test) and "paper" not in missing
-        found.append(Harm(test, split.beyond(before.T @ before, scales)[None] if beyond else none))
+        steps = split.beyond(before.T @ before, scales)[None] if beyond else none
+        told = test.name != "regions" or not len(steps) or beyond_noise(result, split, steps)
+        found.append(Harm(test, steps if told else none))
     lines = put_back_lines(result, given) if len(result.problem.lasers.distance) else []
     return [*found, Harm(_lines_test(result, lines), np.stack(lines))] if lines else found
 
@@ -175,6 +177,17 @@ def _cross_validations(result: Adjustment, settings: CalibrationSettings) -> lis
     if regions is not None and regions.dof:
         found.append((_tested("regions", regions.distance(), regions.dof, noise[0]), regions))
     return found
+
+
+def beyond_noise(result: Adjustment, split: Split, step: np.ndarray) -> bool:
+    """Whether a step [1, shared] does more to rays over the image than noise does to them in such a difference.
+
+    A lens of many coefficients, known in the middle of the image alone, is lost at its rim by noise.
+    """
+    own, (width, height) = layout_of(result.problem).camera, result.data.size
+    camera = replace(result.problem.camera, width=width, height=height)
+    noise = split.noise(np.asarray(result.problem.scales))
+    return ray_error(camera, step[:, own]) > ray_error(camera, noise[:, own])
 
 
 def _tested(name: str, statistic: float, dof: int, noise: float) -> ModelTest:

@@ -38,6 +38,7 @@ if TYPE_CHECKING:
     from jaxscan.geometry.motion_kinds import MOTIONS, Carries
     from jaxscan.geometry.motions import (
         AbstractMotion,
+        Hand,
         LinearStage,
         Still,
         Turntable,
@@ -53,6 +54,7 @@ if TYPE_CHECKING:
         exponential,
         from_quaternion,
         invert,
+        is_pose,
         nearest_rotation,
         quaternion,
         rigid,

@@ -11,8 +11,8 @@ class MotionKind(NamedTuple):
 
     motion: str
     """Its class in `motions.py`."""
-    unit: Literal["rad", "m", ""]
-    """Of its positions."""
+    unit: Literal["rad", "m", "pose", ""]
+    """Of its positions; of given poses a position is the number of the record."""
     part: str
     """The part that is solved."""
     stops: str
@@ -30,8 +30,8 @@ class MotionKind(NamedTuple):
 
     @property
     def key(self) -> str:
-        """Key of the position in the journal of a capture: degrees or metres."""
-        return "position_m" if self.unit == "m" else "angle_deg"
+        """Key of the position in the journal of a capture: degrees, metres, or a whole pose."""
+        return {"m": "position_m", "pose": "pose"}.get(self.unit, "angle_deg")
 
 
 _TABLE = MotionKind(
@@ -63,6 +63,18 @@ MOTIONS: dict[str, MotionKind] = {
         unfit=("panorama",),
         why="a stage does not turn the camera",
     ),
+    "poses": MotionKind(
+        "Hand",
+        "pose",
+        "place of the camera on the hand",
+        "poses of the hand",
+        0.5,
+        "leave the board standing and go round it with the hand (same `placement`, other `pose`): 12 poses, turned by "
+        "20 degrees and more about two axes",
+        (("translation_m", "rotation"), "the camera's place on the hand in metres and its rotation vector in radians"),
+        unfit=("plan", "panorama"),
+        why="a hand may look anywhere",
+    ),
     "nothing": MotionKind(
         "Still",
         "",
@@ -75,7 +87,8 @@ MOTIONS: dict[str, MotionKind] = {
         why="profiles of a scanner that stands still have no neighbours",
     ),
 }
-"""The kinds by their names in files: the part that a turntable carries; a linear stage; or no motion."""
+"""The kinds by their names in files: the part that a turntable carries; a linear stage; a hand whose pose is given
+for every record, as of a robot or a tracker; or no motion."""
 
 if TYPE_CHECKING:
     Carries = str

@@ -18,6 +18,9 @@ from jaxscan.geometry.motion_kinds import MOTIONS
 from jaxscan.geometry.parameters import ParameterBlock
 from jaxscan.geometry.rigid import (
     check_frame,
+    compose,
+    exponential,
+    invert,
     move_direction,
     nearest_rotation,
     rigid,
@@ -32,6 +35,8 @@ SLOWEST = 1e-6  # The least gain.
 _GAINS = (0.8, 1.25)
 # Boards in front of a linear stage do not turn; poses from a first camera may be off by up to this.
 _MAX_TILT_DEG = 5.0
+# Turns of the hand about a second direction from which its camera's place is told [rad].
+_LEAST_TURN = 0.03
 _UNMOVED = "that records with the same `placement` saw the board unmoved"
 
 
@@ -85,8 +90,10 @@ class AbstractMotion(ArrayModule):
 
     @staticmethod
     @abc.abstractmethod
-    def of_boards(poses: Float[np.ndarray, "2 pairs 4 4"], change: Float[np.ndarray, " pairs"]) -> "AbstractMotion":
+    def of_boards(poses: Float[np.ndarray, "2 pairs 4 4"], change: Float[np.ndarray, "pairs ..."]) -> "AbstractMotion":
         """First values, from T_cam_board of boards that stood still at two positions, and the second less the first.
+
+        Of given poses `change` is T_first_second of the hand [pairs, 4, 4].
 
         Raises:
             ValueError: If boards do not move so, with the finding and the remedy.
@@ -119,6 +126,10 @@ class AbstractMotion(ArrayModule):
     @abc.abstractmethod
     def departure(self, other: Any) -> Float[np.ndarray, " params"]:
         """Difference of another motion of the same kind, in the minimal coordinates of this one."""
+
+    def along(self, path: Float[np.ndarray, "records 4 4"] | None) -> "AbstractMotion":
+        """The motion in one capture, where its records have poses: a `Hand`'s."""
+        return self
 
     def table(self) -> dict[str, Any]:
         """Its numbers in files; see `fields`."""
@@ -272,6 +283,116 @@ class LinearStage(AbstractMotion):
 
     def departure(self, other: Any) -> Float[np.ndarray, "3"]:
         return np.append(self.basis @ (other.direction - self.direction), other.gain - self.gain)
+
+
+class Hand(AbstractMotion):
+    r"""The camera rides on a hand whose pose is given for every record: $T_\mathrm{base,hand}(s)\,T_\mathrm{hand,cam}$.
+
+    A position s is the number of a record; the poses are the capture's (`along`). The scanner frame is the base of the
+    robot, or the frame of the tracker; at "position 0" of the other motions the hand would be there.
+    """
+
+    hand_cam: Float[Array, "4 4"] = eqx.field(converter=real)
+    """T_hand_cam [m]."""
+    scatter: Float[Array, "2"] = eqx.field(converter=real)
+    """Standard deviations of the given poses, of each coordinate, by place [m] and by angle [rad]."""
+    path: Float[Array, "records 4 4"] = eqx.field(converter=real)
+    """T_base_hand of every record [m]."""
+
+    blocks: ClassVar[tuple[ParameterBlock, ...]] = (
+        ParameterBlock("hand", tuple(f"hand.{name}" for name in ("t1", "t2", "t3", "r1", "r2", "r3")), 0.01, "m, rad"),
+    )
+    fields: ClassVar[Mapping[str, Field]] = {
+        "translation_m": Field((3,)),
+        "rotation": Field((3,)),
+        "sigma_position_m": Field((), 0.0),
+        "sigma_rotation": Field((), 0.0),
+    }
+
+    @staticmethod
+    def mounted(hand_cam: Float[np.ndarray, "4 4"], scatter: tuple[float, float] = (0.0, 0.0)) -> "Hand":
+        """A camera at T_hand_cam; the poses of records are still to come."""
+        return Hand(hand_cam, np.array(scatter), np.eye(4)[None])
+
+    @property
+    def carries(self) -> str:
+        return "poses"
+
+    @staticmethod
+    def of_table(values: Mapping[str, Any], carries: str) -> "Hand":
+        translation, vector, place, angle = (values[key] for key in Hand.fields)
+        if not (0 <= place < 1 and 0 <= angle < 1):
+            raise ValueError(f"sigma_position_m, sigma_rotation: found {place:g}, {angle:g}, expected 0 to 1 m or rad")
+        hand_cam = np.array(exponential(np.concatenate([np.zeros(3), np.asarray(vector, np.float64)])))
+        hand_cam[:3, 3] = translation
+        return Hand.mounted(hand_cam, (float(place), float(angle)))
+
+    @staticmethod
+    def of_boards(poses: Float[np.ndarray, "2 pairs 4 4"], change: Float[np.ndarray, "pairs 4 4"]) -> "Hand":
+        """From the motions of the hand and those of the camera, $A X = X B$; rotations first.
+
+        Source: Park and Martin, Robot sensor calibration (1994), with the nearest rotation to the sum.
+        """
+        seen = poses[0] @ invert(poses[1])
+        by_hand, by_camera = (_rotation_vectors(turned) for turned in (change, seen))
+        _, spread, _ = np.linalg.svd(by_camera)
+        if len(by_camera) < 2 or spread[1] < _LEAST_TURN * np.sqrt(len(by_camera)):
+            raise ValueError(
+                "The hand turned about one direction alone, if at all, which does not tell where the camera sits on "
+                f"it: turn it by 20 degrees and more about two axes between pictures of the board, and see {_UNMOVED}."
+            )
+        rotation = nearest_rotation(by_hand.T @ by_camera)
+        left = (change[:, :3, :3] - np.eye(3)).reshape(-1, 3)
+        right = (seen[:, :3, 3] @ rotation.T - change[:, :3, 3]).ravel()
+        return Hand.mounted(np.asarray(rigid(rotation, np.linalg.lstsq(left, right, rcond=None)[0])))
+
+    def along(self, path: Float[np.ndarray, "records 4 4"] | None) -> "Hand":
+        """With the poses of a capture's records, T_base_hand."""
+        return self if path is None else Hand(self.hand_cam, self.scatter, path)
+
+    def described(self, sigma: Mapping[str, float]) -> list[Described]:
+        size = lambda part: float(np.linalg.norm([sigma.get(f"hand.{part}{k}", 0.0) for k in (1, 2, 3)]))
+        vector = _rotation_vectors(np.asarray(self.hand_cam, np.float64)[None])[0]
+        return [
+            Described("camera on the hand: place", _numbers(self.hand_cam[:3, 3]), size("t"), "m"),
+            Described("camera on the hand: rotation vector", _numbers(vector), size("r"), "rad"),
+            Described("scatter of the hand's poses: place", (float(self.scatter[0]),), 0.0, "m"),
+            Described("scatter of the hand's poses: angle", (float(self.scatter[1]),), 0.0, "rad"),
+        ]
+
+    def motion(self, s: Float[Array, "*n"]) -> Float[Array, "*n 4 4"]:
+        xp = namespace(self, s)
+        given = xp.asarray(self.path)[xp.round(s).astype(xp.int32)]
+        return compose(invert(xp.asarray(self.hand_cam)), compose(given, xp.asarray(self.hand_cam)))
+
+    def twist(self) -> Float[Array, "6"]:
+        # Nothing lies between two poses.
+        return np.zeros(6)
+
+    def frame(self) -> Float[Array, "4 4"]:
+        return self.hand_cam
+
+    def retract(self, step: Float[Array, "6"]) -> "Hand":
+        """Moved by a twist in the camera's frame [m, rad]."""
+        return Hand(compose(self.hand_cam, exponential(step)), self.scatter, self.path)
+
+    def prior_values(self) -> Float[Array, "6"]:
+        return np.zeros(6)
+
+    def departure(self, other: Any) -> Float[np.ndarray, "6"]:
+        change = np.asarray(invert(self.hand_cam) @ other.hand_cam, np.float64)
+        return np.concatenate([change[:3, 3], _rotation_vectors(change[None])[0]])
+
+    def table(self) -> dict[str, Any]:
+        hand_cam = np.asarray(self.hand_cam, np.float64)
+        numbers = hand_cam[:3, 3], _rotation_vectors(hand_cam[None])[0], *map(float, self.scatter)
+        return {"carries": self.carries, **dict(zip(self.fields, numbers, strict=True))}
+
+
+def _rotation_vectors(pose: Float[np.ndarray, "n 4 4"]) -> Float[np.ndarray, "n 3"]:
+    from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
+
+    return np.asarray(Rotation.from_matrix(pose[:, :3, :3]).as_rotvec())
 
 
 Turns = Literal["scanner", "object"]

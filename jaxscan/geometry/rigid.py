@@ -98,6 +98,15 @@ def nearest_rotation(matrix: Float[np.ndarray, "*n 3 3"]) -> Float[np.ndarray, "
     return u @ vt
 
 
+def is_pose(matrix: np.ndarray) -> bool:
+    """Whether a 4 x 4 matrix is a rigid motion of less than 10 km, to six digits."""
+    if not (np.isfinite(matrix).all() and np.abs(matrix).max() <= 1e4):
+        return False
+    turn, last = matrix[:3, :3], np.array([0.0, 0.0, 0.0, 1.0])
+    off = max(np.abs(turn.T @ turn - np.eye(3)).max(), np.abs(matrix[3] - last).max())
+    return bool(off < 100 * UNIT_TOLERANCE and np.linalg.det(turn) > 0)
+
+
 def quaternion(rotation: Float[np.ndarray, "3 3"]) -> tuple[float, float, float, float]:
     """Unit quaternion (w, x, y, z) of a rotation, w not negative."""
     # Imported here, so that `import jaxscan` does not load SciPy.

@@ -107,6 +107,10 @@ class Scanner(ArrayModule):
         p_cam, incidence = kinematics.lit_points(rig, q, laser)
         return transform(kinematics.poses(rig, phi), p_cam), incidence
 
+    def along(self, poses: Float[np.ndarray, "records 4 4"] | None) -> "Scanner":
+        """The scanner in one capture, where its records have poses; see `along` of the motion."""
+        return self if poses is None else replace(self, turntable=self.turntable.along(poses))
+
     def parameter_names(self) -> tuple[str, ...]:
         """Names of the minimal coordinates: camera, lasers, motion."""
         return self.layout().names

@@ -289,6 +289,7 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
         laser_names=tuple(line.name for line in first.lasers),
         up=first.up,
         carries=first.carries or "scanner",
+        poses=first.poses,
         other_lines=stack_stripes(others) if others else None,
     )
 

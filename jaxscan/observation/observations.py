@@ -63,6 +63,8 @@ class Observations(eqx.Module):
     laser_names: tuple[str, ...] = eqx.field(static=True)
     up: Up = eqx.field(static=True, default="-v")
     carries: Carries = eqx.field(static=True, default="scanner")
+    poses: Float[Array, "records 4 4"] | None = None
+    """T_base_hand of every record, where poses are given [m]; the angle of a view is the place of its record here."""
     other_lines: StripeViews | None = None
     """Other lines on the same boards that may be the stripes; None once the views have agreed on a sheet."""
 

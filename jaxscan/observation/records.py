@@ -82,6 +82,10 @@ class BoardSource(Protocol):
     def carries(self) -> Carries | None:
         """Whether the table carries the scanner or the object, where known."""
 
+    @property
+    def poses(self) -> np.ndarray | None:
+        """T_base_hand of every record [records, 4, 4], where poses are given [m]."""
+
     def frames(self, index: int) -> tuple[np.ndarray | None, np.ndarray | None]:
         """The laser-on and the laser-off frame of a record; None where there is none.
 

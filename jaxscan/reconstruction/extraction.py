@@ -336,7 +336,7 @@ class _Lines(NamedTuple):
         """Straight pieces over their variance, in those of other stripes [1]: bends are compared on the same lines."""
         same = self.valid & other.valid & (np.abs(self.u - other.u) < _SAME_PX)
         (own, whole), (others, there) = self.bends(), other.bends()
-        straight = [np.count_nonzero(k & (np.abs(b) < _STRAIGHT_PX)) for b, k in ((own, whole), (others, there))]
+        straight = [int(np.count_nonzero(k & (np.abs(b) < _STRAIGHT_PX))) for b, k in ((own, whole), (others, there))]
         shared = self._replace(valid=same).bends()[1]
         # Whatever edges do.
         scatter = [float(np.quantile(np.abs(b[shared]), 0.683)) if shared.any() else 1.0 for b in (own, others)]

@@ -45,6 +45,7 @@ class PlannedSweep:
     exposures: tuple[float, ...] = (1.0,)
     compression: str | None = None
     bits: int = 8
+    poses: np.ndarray | None = None
     angles: np.ndarray = field(init=False)
     record: np.ndarray = field(init=False)
     laser: np.ndarray = field(init=False)

@@ -126,7 +126,7 @@ def plan_sweep(sweep: SweepSource, scanner: Scanner, settings: ReconstructSettin
     by_name = all(name in known for name in names) and len(set(names)) == len(names)
     of_scanner = [known.index(name) if by_name else i for i, name in enumerate(names)]
     sheet = np.asarray(of_scanner, np.int32)[sweep.laser]
-    return Plan(sweep, scanner, settings, stripe_axis, sheet, chunk_records(sweep, settings))
+    return Plan(sweep, scanner.along(sweep.poses), settings, stripe_axis, sheet, chunk_records(sweep, settings))
 
 
 def chunk_records(sweep: SweepSource, settings: ReconstructSettings) -> int:

@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxscan.errors import CalibrationError, CaptureError
-from jaxscan.geometry import MOTIONS, Scanner, lit_points, stripe_pixel
+from jaxscan.geometry import MOTIONS, Hand, Scanner, lit_points, stripe_pixel
 from jaxscan.reconstruction.ahead import Progress
 from jaxscan.reconstruction.along import SmoothedSweep, smooth_sweep
 from jaxscan.reconstruction.cloud import PointCloud
@@ -120,14 +120,16 @@ def _points(plan: Plan, centres: Centres, each: int) -> dict[str, np.ndarray]:
     profile, rank = np.divmod(np.arange(len(centres.u)), each)
     angle, sheet = plan.sweep.angles[plan.sweep.record[profile]], plan.sheet[profile]
     aim = Aim.of(plan.scanner, plan.settings, plan.stripe_axis)
-    between, travel = line_step(plan.scanner, plan.stripe_axis), 1.0
-    if MOTIONS[carries].unit == "m":
+    between, travel, place = line_step(plan.scanner, plan.stripe_axis), 1.0, angle
+    if MOTIONS[carries].unit in ("m", "pose"):
         # Profiles differ by metres, not by an angle.
         travel = _usual_range(plan, centres, sheet)
+    if plan.sweep.poses is not None:
+        place = _way(plan, travel)[plan.sweep.record[profile]]
     for laser, number in np.unique(np.stack([sheet, rank], 1), axis=0):
         rows = np.flatnonzero((sheet == laser) & (rank == number))
         rows = rows[np.argsort(angle[rows], kind="stable")]
-        step = float(np.median(np.diff(angle[rows]))) / travel if len(rows) > 1 else np.inf
+        step = float(np.median(np.diff(place[rows]))) / travel if len(rows) > 1 else np.inf
         # Profiles of a scanner that stands still are no neighbours.
         window = None if carries == "nothing" else Window.of(between, step)
         mine = aim._replace(laser=np.asarray(laser, np.int32))
@@ -135,7 +137,26 @@ def _points(plan: Plan, centres: Centres, each: int) -> dict[str, np.ndarray]:
     if not plan.settings.normals:
         # Computing them takes less time than compiling a function without them.
         fields["normals"] = np.zeros_like(fields["normals"])
+    if isinstance(plan.scanner.turntable, Hand):
+        _scatter(fields, plan.scanner.turntable, plan.sweep.record[profile])
     return fields
+
+
+def _way(plan: Plan, usual_range: float) -> np.ndarray:
+    """How far the beam has gone from record to record [m], by travel and by turns at a usual range."""
+    pose = np.asarray(plan.scanner.pose(plan.sweep.angles))
+    ahead = pose[:, :3, 3] + usual_range * pose[:, :3, 2]
+    return np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(ahead, axis=0), axis=1))])
+
+
+def _scatter(fields: dict[str, np.ndarray], hand: Hand, record: np.ndarray) -> None:
+    """Add the scatter of given poses to sigmas; all points of a record share it, so it counts as shared."""
+    place, angle = np.asarray(hand.scatter)
+    arm = np.linalg.norm(fields["xyz"] - np.asarray(hand.path)[record, None, :3, 3].astype(np.float32), axis=-1)
+    moved = np.hypot(place, angle * arm)
+    fields["sigma_systematic"] = np.where(fields["valid"], np.hypot(fields["sigma_systematic"], moved), 0.0).astype(
+        np.float32
+    )
 
 
 def _usual_range(plan: Plan, centres: Centres, sheet: np.ndarray) -> float:

@@ -43,6 +43,10 @@ class SweepSource(Protocol):
         """The table's angle of each record, float64 [records], rad from home."""
 
     @property
+    def poses(self) -> np.ndarray | None:
+        """T_base_hand of each record, float64 [records, 4, 4], m, where poses are given; `angles` count the records."""
+
+    @property
     def record(self) -> np.ndarray:
         """The record of each profile, int32 [profiles]: more than one profile where several lasers are lit."""
 
@@ -90,6 +94,7 @@ class Sweep:
         carries: "scanner" or "object", where known.
         compression: The lossy compression of the frames, where known.
         bits: Bits of a sample as the camera gave it; with more than 8, `exposures` are those of `split_levels`.
+        poses: T_base_hand of each record [records, 4, 4], m, where poses are given; `angles` then count the records.
 
     Raises:
         ValueError: If shapes, type or counts do not fit together.
@@ -107,6 +112,7 @@ class Sweep:
     carries: str | None = None
     compression: str | None = None
     bits: int = 8
+    poses: np.ndarray | None = None
 
     def __post_init__(self) -> None:
         if self.pixel_format not in PIXEL_FORMATS:

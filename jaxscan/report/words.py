@@ -75,6 +75,8 @@ OF_LENGTHS = (
     "stripes adds to them."
 )
 
+# Two significant digits of more pixels would need an exponent.
+_WHOLE_PX = 99.5
 # Shorter ones are no walls.
 _WALL_M = 1.0
 
@@ -140,7 +142,7 @@ def good_to_words(good_to: GoodTo) -> str:
             return f"{millimetres(good_to.sigma_mm)} at {metres(good_to.at_m)}"
         article = "a " if good_to.length_m >= _WALL_M else ""
         return f"{millimetres(good_to.sigma_mm)} for {article}{length_words('wall', good_to.length_m, good_to.at_m)}"
-    return "an unknown size" if good_to.sigma_px is None else f"{good_to.sigma_px:.2g} px over the image"
+    return "an unknown size" if good_to.sigma_px is None else f"{pixels(good_to.sigma_px)} over the image"
 
 
 def _parts(quality: Quality, good_to: GoodTo) -> str:
@@ -152,7 +154,7 @@ def _parts(quality: Quality, good_to: GoodTo) -> str:
     worth = [(size, test) for size, test in sizes if is_named(size, whole) or test.bend_mm]
     named = sorted(worth, key=lambda part: -part[0])
     texts = [
-        f"{millimetres(size) if rig else f'{size:.2g} px'}{'' if index else ' of that'} because {_cause(test, quality)}"
+        f"{millimetres(size) if rig else pixels(size)}{'' if index else ' of that'} because {_cause(test, quality)}"
         for index, (size, test) in enumerate(named)
     ]
     return ", and ".join(texts) if len(texts) < 3 else f"{', '.join(texts[:-1])}, and {texts[-1]}"
@@ -178,14 +180,14 @@ def _explanation(calibration: Calibration, good_to: GoodTo) -> str:
     sentences = ["The residuals look like noise."] if "recalibration" not in calibration.provenance else []
     if "structure" in results:
         rig = good_to.sigma_mm is not None
-        alone = millimetres(good_to.statistical_mm or 0.0) if rig else f"{good_to.statistical_px or 0.0:.2g} px"
+        alone = millimetres(good_to.statistical_mm or 0.0) if rig else pixels(good_to.statistical_px or 0.0)
         sentences = [f"All sigmas include this; noise alone would give {alone}."]
     elif "noisy" in results:
         sentences = ["The noise has no structure but is larger than the detectors promise; the sigmas include that."]
     if halved := _halved(calibration, good_to):
         sentences.append(halved)
     if good_to.sigma_mm is not None and good_to.sigma_px is not None:
-        sentences.append(f"Its rays are good to {good_to.sigma_px:.2g} px.")
+        sentences.append(f"Its rays are good to {pixels(good_to.sigma_px)}.")
     if board is not None and board.free != "parabola":
         sentences.append(f"The board's shape was freed: {millimetres(1e3 * board.rms_off_flat_m)} RMS off flat.")
     if held:
@@ -363,6 +365,11 @@ def millimetres(sigma_mm: float) -> str:
     # 0.00997 is rounded like 0.01.
     decimals = max(0, 1 - math.floor(math.log10(float(f"{sigma_mm:.1e}"))))
     return f"{sigma_mm:.{min(decimals, 6)}f} mm"
+
+
+def pixels(sigma_px: float) -> str:
+    """The same in pixels."""
+    return f"{sigma_px:.2g} px" if sigma_px < _WHOLE_PX else f"{sigma_px:.0f} px"
 
 
 def calibration_date(calibration: Calibration, path: Path | None = None) -> str:

@@ -2,11 +2,15 @@
 
 from dataclasses import replace
 
+import jax
 import numpy as np
 import pytest
 
 from jaxscan.calibration import NOTHING_KNOWN, CalibrationSettings, calibrate_camera, settle_lens
+from jaxscan.calibration.calibrate import estimate
+from jaxscan.calibration.cross_validation import compare_regions
 from jaxscan.calibration.other_lens import ray_difference
+from jaxscan.calibration.structure import beyond_noise
 
 
 pytestmark = pytest.mark.more
@@ -15,14 +19,14 @@ pytestmark = pytest.mark.more
 PINHOLE = CalibrationSettings(free=tuple(b for b in CalibrationSettings().free if b != "shape"))
 
 
-def seen_by_a_fisheye(world, views=30, focal=400.0):
-    """Corners of boards within 65 degrees of the axis of an equidistant fisheye, without noise."""
+def seen_by_a_fisheye(world, views=30, focal=400.0, reach_deg=55.0):
+    """Corners of boards within 10 degrees more of the axis of an equidistant fisheye, without noise."""
     random, rig = np.random.default_rng(5), world.Rig()
     corners = rig.board.corners()
     corners = corners - corners.mean(0)
     q = []
     while len(q) < views:
-        theta, turn = np.radians(55.0 * np.sqrt(random.random())), random.uniform(0, 2 * np.pi)
+        theta, turn = np.radians(reach_deg * np.sqrt(random.random())), random.uniform(0, 2 * np.pi)
         away = world.rodrigues(theta * np.array([-np.sin(turn), np.cos(turn), 0.0]))
         tilt = world.rodrigues(random.uniform(-0.5, 0.5, 3))
         p = (corners @ tilt.T + [0.0, 0.0, random.uniform(0.5, 0.8)]) @ away.T
@@ -63,6 +67,19 @@ def test_a_wrong_lens_knows_by_itself_how_far_it_goes_astray(mistaken):
     assert off / 1.5 < verdict.good_to.sigma_px < 1.5 * off
     assert max(verdict.tests, key=lambda test: test.effect_px or 0.0).name == "regions"
     assert all(test.effect_px is None for test in true.quality.verdict.tests if test.name == "regions")
+
+
+@pytest.mark.parametrize(("reach_deg", "camera", "told"), [(30.0, "fisheye", False), (55.0, "pinhole", True)])
+def test_what_noise_does_beyond_the_corners_is_no_fault_of_the_lens(world, reach_deg, camera, told):
+    """Four coefficients, known in the middle alone, are lost at the rim by noise; a pinhole is lost by itself."""
+    seen, settings = world.with_noise(seen_by_a_fisheye(world, reach_deg=reach_deg), 0), replace(PINHOLE, camera=camera)
+    with jax.enable_x64(True):
+        result = estimate(seen, settings=replace(settings, only="camera")).adjustment
+        split = compare_regions(result, settings)
+        scales = np.asarray(result.problem.scales)
+        step = np.zeros((1, len(scales)))
+        step[0, split.free] = split.difference * scales[split.free]
+        assert beyond_noise(result, split, step) == told
 
 
 def test_a_pinhole_that_was_asked_for_is_as_far_off_as_it_is(mistaken):

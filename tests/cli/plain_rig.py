@@ -41,8 +41,27 @@ def turned(axis, angle):
     return np.eye(3) + np.sin(angle) * k + (1 - np.cos(angle)) * k @ k
 
 
+HAND = turned([0.3, -0.8, 0.5], 1.1), np.array([0.06, -0.03, 0.11])
+"""R, t of T_hand_cam."""
+BASE = turned([0.9, 0.2, -0.3], 2.0), np.array([0.4, 0.7, 0.2])
+"""R, t of T_base_cam0 of a robot: where the scene is in its frame."""
+SCATTER = 1e-4, 2e-4
+"""Of a robot's poses, by place [m] and angle [rad]."""
+
+
+def pose_of(rotation, at, noise):
+    """Twelve numbers of T_base_hand of a camera at R, t of T_cam0_cam, which err."""
+    turn, place = BASE[0] @ rotation @ HAND[0].T, BASE[0] @ at + BASE[1]
+    place = place - turn @ HAND[1] + SCATTER[0] * noise.normal(size=3)
+    off = SCATTER[1] * noise.normal(size=3)
+    turn = turn @ turned(off, np.linalg.norm(off))
+    return np.column_stack([turn, place]).ravel().tolist()
+
+
 def camera_at(carries, position):
-    """R, t of T_cam0_cam: by travel, by a turn about the axis, or nothing."""
+    """R, t of T_cam0_cam: by travel, by a turn about the axis, as given, or nothing."""
+    if carries == "poses":
+        return position
     if carries == "linear":
         return np.eye(3), position * TRAVEL
     if carries == "scanner":
@@ -143,6 +162,32 @@ def board_capture(folder, carries, *, lit=True, free=10, placements=3, positions
             records.append(([seen_from(pose, camera_at(carries, stop))], keys, lit))
     motion = f'[turntable]\ncarries = "{carries}"\n' if carries else ""
     return write(folder, "calibration", motion + (LASER if lit else "") + BOARD, records)
+
+
+def around(middle, random, tilt_deg):
+    """R, t of T_cam0_cam of a camera that still looks at a place, from elsewhere."""
+    turn = turned(random.normal(size=3) * [1, 1, 1.5], np.radians(random.uniform(-tilt_deg, tilt_deg)))
+    return turn, middle - turn @ (middle + [0.0, 0.0, random.uniform(-0.1, 0.1)])
+
+
+def hand_boards(folder, *, seed=5, views=18):
+    """One board that stands, seen from all sides by a camera on a robot's hand."""
+    random, noise, records = np.random.default_rng(seed), np.random.default_rng(seed + 50), []
+    middle = np.array([-0.03, 0.0, 0.95])
+    pose = board(turned([1.0, 0.4, 0.1], 0.3), middle)
+    for _ in range(views):
+        camera = around(middle, random, 32)
+        records.append(([seen_from(pose, camera)], {"placement": 0, "pose": pose_of(*camera, noise)}, True))
+    return write(folder, "calibration", '[turntable]\ncarries = "poses"\n' + LASER + BOARD, records)
+
+
+def hand_sweep(folder, *, seed=6, steps=17):
+    """The scene from a hand that travels and turns."""
+    noise, records = np.random.default_rng(seed), []
+    for at in np.linspace(-0.2, 0.2, steps):
+        camera = turned([0.2, 1.0, 0.1], 0.5 * at), np.array([at, 0.1 * at, 0.05 * at])
+        records.append(([seen_from(plane, camera) for plane in SCENE], {"pose": pose_of(*camera, noise)}, True))
+    return write(folder, "sweep", '[turntable]\ncarries = "poses"\n' + LASER, records)
 
 
 SCENE = (wall(1.2), wall(1.0, half=(0.12, 0.15), x=0.0))

@@ -278,3 +278,8 @@ def test_numbers_of_the_solve_that_are_not_there_are_left_out(calibration):
 )
 def test_sizes_have_two_digits(size, said):
     assert words.millimetres(size) == said
+
+
+def test_many_pixels_are_written_without_an_exponent():
+    assert words.good_to_words(GoodTo(sigma_px=134.9)) == "135 px over the image"
+    assert words.good_to_words(GoodTo(sigma_px=0.7544)) == "0.75 px over the image"

@@ -34,7 +34,7 @@ from jaxscan.files.disk import (
     write_arrays,
     write_together,
 )
-from jaxscan.geometry import AbstractCamera, Carries, Scanner, camera_doubts, scanner_doubts
+from jaxscan.geometry import MOTIONS, AbstractCamera, Carries, Scanner, camera_doubts, is_pose, scanner_doubts
 from jaxscan.geometry.scanner import Up
 from jaxscan.observation import CONTRAST_CLASSES, BoardViews, Observations, StripeViews
 
@@ -140,6 +140,7 @@ _ARRAYS: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
 }
 _OPTIONAL: dict[str, tuple[type[np.generic], tuple[str | int, ...]]] = {
     "stripes.contrast": (np.signedinteger, ("stripes", "points")),
+    "poses": (np.floating, ("records", 4, 4)),
 }
 _RANGES = {
     "corners.q": (-1e6, 1e6),
@@ -230,7 +231,9 @@ def _read_observations(path: Path) -> Observations:
     sizes = check_arrays(arrays, there, known, name=str(path), error=CalibrationError)
     counts = {"stripes.view": sizes["views"], "stripes.laser": len(about.laser_names)}
     # Indices of all entries: those of points that are not valid are looked up too.
-    for name, count in (counts | {name: CONTRAST_CLASSES for name in _OPTIONAL if name in arrays}).items():
+    for name, count in (
+        counts | {name: CONTRAST_CLASSES for name in _OPTIONAL if name in arrays and name != "poses"}
+    ).items():
         if ((arrays[name] < 0) | (arrays[name] >= count)).any():
             raise CalibrationError(f"{path}: {name}: found an index outside 0 ... {count - 1}.")
     for name, (least, most) in _RANGES.items():
@@ -246,8 +249,20 @@ def _read_observations(path: Path) -> Observations:
         board=board,
         corners=BoardViews(**corners),
         stripes=StripeViews(**stripes),
+        poses=_poses_of(arrays, about.carries, path),
         **{name: getattr(about, name) for name in _PLAIN},
     )
+
+
+def _poses_of(arrays: Mapping[str, np.ndarray], carries: Carries, path: Path) -> np.ndarray | None:
+    """The poses of the hand in a file of observations."""
+    if MOTIONS[carries].unit != "pose":
+        return None
+    poses, angle = arrays.get("poses", np.zeros((0, 4, 4))), arrays["corners.angle"]
+    there = not len(angle) or (angle.min() >= 0 and angle.max() < len(poses))
+    if not there or not all(is_pose(pose) for pose in poses):
+        raise CalibrationError(f"{path}: poses: expected a rigid pose for every view.")
+    return poses
 
 
 _DIGESTS = "digests"

@@ -285,7 +285,7 @@ class CalibrationTable(FileModel):
         if len(set(names)) < len(names):
             raise ValueError(f"lasers: found the names {', '.join(names)[:60]}, expected no name twice")
         table = self.turntable
-        canonical = table is None or table.basis is not None
+        canonical = table is None or table.basis is not None or "basis" not in table.motion().fields
         if table is not None and canonical and isinstance(table.motion(), Turntable):
             if np.dot(table.direction, UP_VECTORS[self.camera.up]) < 0:
                 raise ValueError(

@@ -103,11 +103,25 @@ class Capture:
     def _angles(self) -> np.ndarray:
         if self.carries == "nothing":
             return np.zeros(len(self.records))
+        if MOTIONS[self.carries or "scanner"].unit == "pose":
+            # The places of the records in `poses`.
+            return np.arange(len(self.records), dtype=np.float64)
         key = MOTIONS[self.carries or "scanner"].key
         for record in self.records:
             if record.angle is None:
                 raise CaptureError(f"{self.path}: record {record.i}: {key} is null; only a sweep can be reconstructed.")
         return np.array([record.angle for record in self.records], np.float64)
+
+    @property
+    def poses(self) -> np.ndarray | None:
+        """T_base_hand of every record, float64 [records, 4, 4], m, where poses are given; the identity for none."""
+        if MOTIONS[self.carries or "scanner"].unit != "pose":
+            return None
+        poses = np.tile(np.eye(4), (len(self.records), 1, 1))
+        for at, record in enumerate(self.records):
+            if record.pose is not None:
+                poses[at, :3] = np.reshape(record.pose, (3, 4))
+        return poses
 
     @property
     def record(self) -> np.ndarray:

@@ -12,12 +12,13 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple
 
+import numpy as np
 import pydantic
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture.header import HEADER_NAME, MAX_HEADER_BYTES, CaptureHeader, parse_header
 from jaxscan.files.disk import MAX_DEPTH, Integer, Number, check, is_deep, read_bounded, too_deep
-from jaxscan.geometry import MOTIONS, Carries
+from jaxscan.geometry import MOTIONS, Carries, is_pose
 
 
 MAX_IMAGES = 16
@@ -168,7 +169,7 @@ MAX_LINE_BYTES = 64 << 10
 MAX_RECORDS = 1_000_000
 MAX_LINES = 2_000_000
 
-_OF_RECORDS = {"on", "off", "angle_deg", "position_m"}
+_OF_RECORDS = {"on", "off", "angle_deg", "position_m", "pose"}
 """Keys that events do not have, unless they say so by the key `event`."""
 
 
@@ -185,6 +186,9 @@ class Record:
     """Indices of the lasers lit in the `on` frame, in the header's order; empty without one."""
     on: tuple[ImageRef, ...]
     off: tuple[ImageRef, ...]
+    pose: tuple[float, ...] | None = None
+    """T_base_hand as twelve numbers, row after row [m], where poses are given; `angle` is then the record's place among
+    all."""
 
 
 class Journal(NamedTuple):
@@ -209,6 +213,15 @@ def _short(digests: Any) -> Any:
     return digests if digests is None or isinstance(digests, str) else repr(digests)[:64]
 
 
+_Twelve = Annotated[list[Number], pydantic.Field(min_length=12, max_length=12)]
+
+
+def _rigid(numbers: list[float]) -> list[float]:
+    if not is_pose(np.vstack([np.reshape(numbers, (3, 4)), [0.0, 0.0, 0.0, 1.0]])):
+        raise ValueError("found no rigid motion, expected the three upper rows of T_base_hand, one after another, in m")
+    return numbers
+
+
 class _Line(pydantic.BaseModel):
     # Acquisition adds keys of its own to a record, and may add more.
     model_config = pydantic.ConfigDict(frozen=True, extra="ignore", allow_inf_nan=False)
@@ -217,6 +230,7 @@ class _Line(pydantic.BaseModel):
     # No table turns a million degrees, and squares and sums of such angles are finite.
     angle_deg: Annotated[Number, pydantic.Field(ge=-1e6, le=1e6)] | None = None
     position_m: Annotated[Number, pydantic.Field(ge=-1e4, le=1e4)] | None = None
+    pose: Annotated[_Twelve, pydantic.AfterValidator(_rigid)] | None = None
     placement: Annotated[Integer, pydantic.Field(ge=0, lt=1 << 31)] | None = None
     lasers: Annotated[list[Integer | str], pydantic.Field(max_length=64)] | None = None
     on: Annotated[Any, pydantic.AfterValidator(parse_images)] = ()
@@ -266,7 +280,10 @@ def read_journal(
         if len(latest) > MAX_RECORDS:
             raise CaptureError(f"{where}: more than {MAX_RECORDS} records; split the capture.")
     notes = (f"{torn}: the last line was cut off and is left out.",) if torn else ()
-    return Journal(tuple(latest[i] for i in sorted(latest)), notes, takes)
+    records = [latest[i] for i in sorted(latest)]
+    if MOTIONS[carries].unit == "pose":
+        records = [replace(one, angle=None if one.pose is None else float(at)) for at, one in enumerate(records)]
+    return Journal(tuple(records), notes, takes)
 
 
 def _check_event(value: dict[str, Any], where: str) -> None:
@@ -353,11 +370,16 @@ def _record(line: _Line, where: str, kind: str, laser_names: tuple[str, ...], ca
         lasers=() if not line.on else _lit(line.lasers, where, laser_names),
         on=_with_digests(line.on, digests.get("on")),
         off=_with_digests(line.off, digests.get("off")),
+        pose=None if line.pose is None or MOTIONS[carries].unit != "pose" else tuple(line.pose),
     )
 
 
 def _position(line: _Line, kind: str, carries: Carries, where: str) -> float | None:
     """The table's angle [rad], or the position of a stage [m]; None where none is needed and none is given."""
+    if MOTIONS[carries].unit == "pose":
+        if kind == "sweep" and line.pose is None:
+            raise CaptureError(f"{where}: pose: found null, but a sweep with given poses needs that of every record.")
+        return None
     linear = MOTIONS[carries].unit == "m"
     wanted, found = (line.position_m, line.angle_deg) if linear else (line.angle_deg, line.position_m)
     if wanted is not None:

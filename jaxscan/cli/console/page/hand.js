@@ -39,8 +39,9 @@ function drawHistogram(counts) {
 
 // What differs from the configuration, and how it is kept.
 export function exposureNote({ wish, camera, config }) {
-  if (!wish?.exposure_ms || (wish.exposure_ms === camera?.exposure_ms && wish.gain_db === camera?.gain_db)) return "";
-  const gain = wish.gain_db === camera?.gain_db ? "" : ` and camera.gain_db = ${wish.gain_db}`;
+  const sameGain = wish?.gain_db === (camera?.gain_db ?? 0);
+  if (!wish?.exposure_ms || (wish.exposure_ms === camera?.exposure_ms && sameGain)) return "";
+  const gain = sameGain ? "" : ` and camera.gain_db = ${wish.gain_db}`;
   return `Set here until the console ends; to keep it, write camera.exposure_ms = ${wish.exposure_ms}${gain} into ${config}.`;
 }
 
