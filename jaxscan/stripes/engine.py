@@ -176,7 +176,7 @@ class StripeEngine(eqx.Module):
             return of_level.extract(on[:, level], None if off is None else off[:, level], records)
         count, exposures = len(on), len(self.setup.exposures)
         room = max(records, count)
-        kind = _Kind.of(self.setup, on.shape[1 + (exposures > 1) :])
+        kind = _Kind.of(self.setup, on.shape[1 + (exposures > 1) :], fills=bool(self.search.speckle > 0))
         pair = [None if frames is None else _bytes_around(frames, room) for frames in (on, off)]
         if count > 1 and pair[0] is None and _bytes_around(on[1:], room) is not None:
             # The first frame of a large array alone has to be copied.
@@ -243,9 +243,11 @@ class _Kind(NamedTuple):
     choice: Choice
     exposures: tuple[float, ...]
     several: bool
+    fills: bool
+    """Whether gaps may be filled: without speckle none is, and their code need not be compiled."""
 
     @classmethod
-    def of(cls, setup: ExtractionSetup, shape: tuple[int, ...]) -> "_Kind":
+    def of(cls, setup: ExtractionSetup, shape: tuple[int, ...], *, fills: bool) -> "_Kind":
         frames, line = setup.frames, setup.line
         # Of a mono camera the colour means nothing.
         colour: Any = "red" if frames.pixel_format == "mono8" else line.colour
@@ -260,6 +262,7 @@ class _Kind(NamedTuple):
             settings.choice,
             setup.exposures,
             setup.several,
+            fills,
         )
 
     @property
@@ -324,7 +327,7 @@ def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind
     in_image = lambda found: found._replace(u=jnp.where(found.valid, shift(found.u), 0.0))
     measured = in_image(measured)
     number = choose_stripes(measured, search, kind.choice)
-    if (measure_at := estimator.at) is not None and number is not None and kind.choice == "path":
+    if (measure_at := estimator.at) is not None and number is not None and kind.fills and kind.choice == "path":
         least = search._replace(limits=search.limits._replace(least_snr=jnp.float32(LEAST_SNR)))
 
         def fill(_, known: tuple[FrameStripes, Array]) -> tuple[FrameStripes, Array]:
@@ -467,7 +470,7 @@ def stripes_of_frames(engine: StripeEngine, on: UInt8[Array, "frames ..."], off:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
     """
-    kind = _Kind.of(engine.setup, on.shape[1:])
+    kind = _Kind.of(engine.setup, on.shape[1:], fills=True)
     stack = lambda frames: _Stack(frames.reshape(-1), jnp.int32(0))
     return _of_stack(
         stack(on), None if off is None else stack(off), jnp.int32(len(on)), engine.search, kind, len(on)
