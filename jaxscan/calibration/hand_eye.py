@@ -11,6 +11,7 @@ scatter of the given poses is learned, the camera is free within its own covaria
 otherwise; the place of the camera is then solved for the camera as it was found.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -62,7 +63,7 @@ def with_hand(
     boards = _first_boards(given @ hand_cam @ seen, board)
     to_hand = _adjoint(np.linalg.inv(given) @ boards[board])
     of_seen = to_hand @ twists @ np.swapaxes(to_hand, 1, 2)
-    there, by_camera, half = _by_camera(calibration, result, own)
+    there, by_camera, half = _by_camera(calibration, result, observations.laser_names, own)
     by_camera = -to_hand @ by_camera
     free = half.shape[1]
 
@@ -118,11 +119,13 @@ def with_hand(
 
 
 def _by_camera(
-    calibration: Calibration, result: Adjustment, own: Int[np.ndarray, " views"]
+    calibration: Calibration, result: Adjustment, lasers: Sequence[str], own: Int[np.ndarray, " views"]
 ) -> tuple[Int[np.ndarray, " parts"], Float[np.ndarray, "views 6 parts"], Float[np.ndarray, "parts parts"]]:
     """Which parts of the calibration boards see; how standard errors of these move the seen boards; their covariance's
     root."""
-    every = layout_of(result.problem).names
+    every = list(layout_of(result.problem).names)
+    for number, name in enumerate(lasers):
+        every = [one.replace(f"laser.{number}.", f"laser.{name}.") for one in every]
     there = np.array([at for at, name in enumerate(calibration.order) if name in every], int)
     columns = [every.index(calibration.order[at]) for at in there]
     scales = np.asarray(result.problem.scales)[columns]
