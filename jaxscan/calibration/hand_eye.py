@@ -6,9 +6,12 @@ camera and sheets are solved with a pose of its own for every view, and the give
 $$\\exp(\\epsilon) = F^{-1}\\, Y\\, C^{-1} X^{-1},$$
 
 with $F$ the given pose of the hand, $X$ the camera on it, $Y$ the board in the base and $C$ the board as the camera
-saw it. The twist $\\epsilon$ is the error of the given pose, and of the seen one, whose covariance is known.
+saw it. The twist $\\epsilon$ is the error of the given pose, and of the seen one, whose covariance is known. While the
+scatter of the given poses is learned, the camera is free within its own covariance, for its errors move every view
+otherwise; the place of the camera is then solved for the camera as it was found.
 """
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -19,13 +22,13 @@ from jaxscan.calibration.problem import LOCAL_SCALE, layout_of
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import AbstractMotion, Array, Hand, Scanner, compose, exponential, invert, namespace
-from jaxscan.leastsq import Group, Prior, fit
+from jaxscan.leastsq import Fit, Group, Prior, fit
 from jaxscan.observation import Observations
 
 
 # First standard deviations of a pose [m, rad], and rounds in which they are learned.
-_FIRST, _ROUNDS = (1e-3, 1e-3), 6
-# Information that holds the camera where it is known to sit.
+_FIRST, _ROUNDS = (1e-3, 1e-3), 12
+# Information that holds what is known.
 _HELD = 1e16
 # Less than this is nothing [m, rad].
 _LEAST = (1e-7, 1e-7)
@@ -48,31 +51,44 @@ def with_hand(
         CalibrationError: If the poses are not those of the views.
     """
     problem, path = result.problem, np.asarray(observations.poses, np.float64)
-    used = np.flatnonzero(result.view_inlier & result.data.fixes_pose)
+    used, placement = np.flatnonzero(result.view_inlier & result.data.fixes_pose), observations.corners.placement
+    # A board that was seen once says nothing of the hand.
+    used = used[np.bincount(np.asarray(placement)[used])[np.asarray(placement)[used]] > 1]
     seen = np.asarray(result.linearised.view_poses)[used]
     given = path[np.round(np.asarray(observations.corners.angle)[used]).astype(int)]
-    board = np.unique(np.asarray(observations.corners.placement)[used], return_inverse=True)[1]
-    twists = (
-        LOCAL_SCALE**2 * np.asarray(result.linearised.covariance.alone)[np.asarray(problem.placement)[used], :6, :6]
-    )
+    board = np.unique(np.asarray(placement)[used], return_inverse=True)[1]
+    own = np.asarray(problem.placement)[used]
+    twists = LOCAL_SCALE**2 * np.asarray(result.linearised.covariance.alone)[own, :6, :6]
     hand_cam = np.asarray(first.frame(), np.float64)
     boards = _first_boards(given @ hand_cam @ seen, board)
-    of_seen = _carried(np.linalg.inv(given) @ boards[board], twists)
+    to_hand = _adjoint(np.linalg.inv(given) @ boards[board])
+    of_seen = to_hand @ twists @ np.swapaxes(to_hand, 1, 2)
+    there, by_camera, half = _by_camera(calibration, result, observations.laser_names, own)
+    by_camera = -to_hand @ by_camera
+    free = half.shape[1]
+
+    def solved(scatter: np.ndarray, camera: float) -> tuple[np.ndarray, Fit]:
+        root = np.linalg.inv(np.linalg.cholesky(of_seen + np.diag(np.repeat(scatter**2, 3))))
+        place = np.broadcast_to(hand_cam, seen.shape)
+        group = Group(_misfit, (invert(given), np.linalg.inv(seen), boards[board], root, place, by_camera), block=board)
+        prior = Prior(np.zeros(6 + free), np.diag(np.repeat([_HELD if held else 0.0, camera], [6, free])))
+        return root, fit(np.zeros(6 + free), [group], blocks=np.zeros((len(boards), 6)), prior=prior)
+
     scatter = np.array(_FIRST)
-    prior = Prior(np.zeros(6), _HELD * np.eye(6)) if held else None
     for _ in range(_ROUNDS):
-        whole = of_seen + np.diag(np.repeat(scatter**2, 3))
-        root = np.linalg.inv(np.linalg.cholesky(whole))
-        data = (invert(given), np.linalg.inv(seen), boards[board], root, np.broadcast_to(hand_cam, seen.shape))
-        group = Group(_misfit, data, block=board)
-        found = fit(np.zeros(6), [group], blocks=np.zeros((len(boards), 6)), prior=prior)
-        error = np.linalg.solve(root, found.residuals[0][..., None])[..., 0]
+        root, found = solved(scatter, 1.0)
+        # Likeliest where residuals pull as much as they may; Rao and Kleffe, Estimation of variance components (1988).
+        pull = np.square(np.swapaxes(root, 1, 2) @ found.residuals[0][..., None])[..., 0]
         left = 1.0 - np.mean(found.leverages[0])
-        before, chance = scatter, np.mean(np.diagonal(of_seen, axis1=1, axis2=2).reshape(-1, 2, 3), axis=(0, 2))
-        square = np.mean(error.reshape(-1, 2, 3) ** 2, axis=(0, 2)) / max(left, 0.05)
-        scatter = np.sqrt(np.maximum(square - chance, np.square(_LEAST)))
+        share = np.sum(np.square(root), axis=1) * max(left, 0.05)
+        of_kind = lambda values: np.sum(values.reshape(-1, 2, 3), axis=(0, 2))
+        before = scatter
+        scatter = np.maximum(scatter * np.sqrt(of_kind(pull) / of_kind(share)), _LEAST)
         if np.allclose(scatter, before, rtol=0.02):
             break
+    root, found = solved(scatter, _HELD)
+    error = np.linalg.solve(root, found.residuals[0][..., None])[..., 0]
+    square = np.mean(error.reshape(-1, 2, 3) ** 2, axis=(0, 2))
     if (np.sqrt(square) > _MOST).any():
         raise CalibrationError(
             f"The given poses miss the boards by {1e3 * np.sqrt(square[0]):.0f} mm and "
@@ -80,31 +96,21 @@ def with_hand(
             "its units, the order of its numbers (`--pose-format`), and that records with the same `placement` saw the "
             "board unmoved."
         )
-    motion, own, parts = Hand(hand_cam, scatter, path), Hand.blocks[0].parameters, len(calibration.order)
-    names, covariance = (*calibration.order, *own), np.zeros((parts + 6, parts + 6))
+    motion, coordinates, parts = Hand(hand_cam, scatter, path), Hand.blocks[0].parameters, len(calibration.order)
+    names, covariance = (*calibration.order, *coordinates), np.zeros((parts + 6, parts + 6))
     covariance[:parts, :parts] = calibration.covariance
     if not held:
-        motion = motion.retract(found.shared)
+        motion = motion.retract(found.shared[:6])
         # An error of the camera turns and shifts it as seen by all boards alike.
-        every = layout_of(problem).names
-        there = [at for at, name in enumerate(calibration.order) if name in every]
-        columns = [every.index(calibration.order[at]) for at in there]
-        moved = -np.asarray(result.linearised.covariance.coupling)[np.asarray(problem.placement)[used], :6][
-            ..., columns
-        ]
-        scales = np.asarray(problem.scales)[columns]
-        moved = LOCAL_SCALE * moved / np.where(scales > 0, scales, np.inf)
-        changed = -root @ _adjoint(np.linalg.inv(given) @ boards[board]) @ moved
         slopes = np.zeros((len(used), 6, 6 + 6 * len(boards)))
         slopes[:, :, :6] = found.slopes[0][:, :, :6]
         for view, number in enumerate(board):
-            slopes[view, :, 6 + 6 * number : 12 + 6 * number] = found.slopes[0][view, :, 6:]
-        follow = -np.linalg.lstsq(slopes.reshape(-1, slopes.shape[-1]), changed.reshape(-1, len(columns)), rcond=None)[
-            0
-        ]
-        cross = follow[:6] @ calibration.covariance[there]
-        covariance[parts:, :parts], covariance[:parts, parts:] = cross, cross.T
-        covariance[parts:, parts:] = found.covariance.shared + cross[:, there] @ follow[:6].T
+            slopes[view, :, 6 + 6 * number : 12 + 6 * number] = found.slopes[0][view, :, 6 + free :]
+        changed = (root @ by_camera).reshape(-1, free)
+        follow = -np.linalg.lstsq(slopes.reshape(-1, slopes.shape[-1]), changed, rcond=None)[0][:6]
+        covariance[parts:, :parts] = follow @ np.linalg.pinv(half) @ calibration.covariance[there]
+        covariance[:parts, parts:] = covariance[parts:, :parts].T
+        covariance[parts:, parts:] = found.covariance.shared[:6, :6] + follow @ follow.T
     scanner = calibration.scanner
     if scanner is None:
         scanner = Scanner(calibration.camera, problem.lasers, motion, covariance, (), observations.up)
@@ -112,16 +118,33 @@ def with_hand(
     return replace(calibration, scanner=scanner, order=names, covariance=covariance)
 
 
+def _by_camera(
+    calibration: Calibration, result: Adjustment, lasers: Sequence[str], own: Int[np.ndarray, " views"]
+) -> tuple[Int[np.ndarray, " parts"], Float[np.ndarray, "views 6 parts"], Float[np.ndarray, "parts parts"]]:
+    """Which parts of the calibration boards see; how standard errors of these move the seen boards; their covariance's
+    root."""
+    every = list(layout_of(result.problem).names)
+    for number, name in enumerate(lasers):
+        every = [one.replace(f"laser.{number}.", f"laser.{name}.") for one in every]
+    there = np.array([at for at, name in enumerate(calibration.order) if name in every], int)
+    columns = [every.index(calibration.order[at]) for at in there]
+    scales = np.asarray(result.problem.scales)[columns]
+    moved = -LOCAL_SCALE * np.asarray(result.linearised.covariance.coupling)[own, :6][..., columns]
+    spread, direction = np.linalg.eigh(np.asarray(calibration.covariance, np.float64)[np.ix_(there, there)])
+    half = direction * np.sqrt(np.maximum(spread, 0.0))
+    return there, moved / np.where(scales > 0, scales, np.inf) @ half, half
+
+
 def _misfit(step: Array, own: Array, data: tuple[Array, ...]) -> Array:
-    """Error of one given pose in standard deviations [6]."""
-    back, unseen, board, root, hand_cam = data
-    camera = compose(hand_cam, exponential(step))
+    """Error of one given pose in standard deviations [6]; behind the twist are errors of the camera, likewise."""
+    back, unseen, board, root, hand_cam, by_camera = data
+    camera = compose(hand_cam, exponential(step[:6]))
     off = compose(compose(back, compose(board, exponential(own))), compose(unseen, invert(camera)))
     turned = off[:3, :3]
     # Of a small turn.
     xp = namespace(off)
     rotation = 0.5 * xp.stack([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
-    return root @ xp.concatenate([off[:3, 3], rotation])
+    return root @ (xp.concatenate([off[:3, 3], rotation]) + by_camera @ step[6:])
 
 
 def _first_boards(
@@ -136,15 +159,8 @@ def _first_boards(
     return np.stack(found)
 
 
-def _carried(
-    pose: Float[np.ndarray, "views 4 4"], covariance: Float[np.ndarray, "views 6 6"]
-) -> Float[np.ndarray, "views 6 6"]:
-    """Covariance of a twist in the frame a of poses T_ab, of one in the frame b."""
-    adjoint = _adjoint(pose)
-    return adjoint @ covariance @ np.swapaxes(adjoint, 1, 2)
-
-
 def _adjoint(pose: Float[np.ndarray, "views 4 4"]) -> Float[np.ndarray, "views 6 6"]:
+    """Twists in the frame a of poses T_ab, of those in the frame b."""
     turn, at = pose[:, :3, :3], pose[:, :3, 3]
     adjoint = np.zeros((len(pose), 6, 6))
     adjoint[:, :3, :3] = adjoint[:, 3:, 3:] = turn

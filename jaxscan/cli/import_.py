@@ -11,7 +11,7 @@ from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import importing, recording
-from jaxscan.geometry.motion_kinds import MOTIONS
+from jaxscan.geometry.motion_kinds import MOTIONS, PoseFormat, PoseUnit
 
 
 if TYPE_CHECKING:
@@ -35,6 +35,9 @@ def import_(
     angles: Path | None = None,
     step_mm: float | None = None,
     positions: Path | None = None,
+    poses: Path | None = None,
+    pose_format: PoseFormat | None = None,
+    pose_unit: PoseUnit = "m",
     carries: Carries | None = None,
     lasers: tuple[str, ...] = (),
     laser_colour: LaserColour = "auto",
@@ -72,7 +75,15 @@ def import_(
             and for boards perhaps with the number of the placement.
         step_mm: With `--carries linear`: way of the stage between two images.
         positions: With `--carries linear`: text file like that of --angles, in millimetres.
-        carries: `scanner` or `object`: the load of the table; `linear` for a stage; `nothing` if nothing moves.
+        poses: With `--carries poses`: text file with the hand's pose of each image, in the frame of the robot's base or
+            of the tracker, a line each, perhaps after the image's name. With --board, the board stood still meanwhile.
+        pose_format: Numbers of a line of --poses: `tum` (time x y z qx qy qz qw; the time may be missing), `wxyz`
+            (x y z qw qx qy qz), `matrix` (12 or 16, row after row); or x y z and `rotvec` (a rotation vector in
+            radians), `rpy` (degrees about the fixed axes x, then y, then z; `rpy-rad` in radians) or `abc` (degrees
+            about z, then the new y, then the new x). Without, 8 numbers are `tum`, and 12 or 16 `matrix`.
+        pose_unit: Unit of the lengths in --poses.
+        carries: `scanner` or `object`: the load of the table; `linear` for a stage; `poses` for a hand whose poses are
+            given; `nothing` if nothing moves.
         lasers: Names of the lasers, one for each pattern of --on.
         laser_colour: Channel of colour images that shows the laser; `auto` learns it from
             laser-off images, and takes red without any.
@@ -100,6 +111,8 @@ def import_(
         unit == "rad",
         {"--step-deg": step_deg, "--angles": angles},
     )
+    given = {"--poses": poses, "--pose-format": pose_format, "--pose-unit": None if pose_unit == "m" else pose_unit}
+    _fits("--carries", "poses", unit == "pose", given)
     request = importing.ImportRequest(
         on=on,
         off=off,
@@ -107,7 +120,9 @@ def import_(
         board=None if board is None else importing.parse_board(board),
         carries=carries,
         step=step_mm if unit == "m" else step_deg,
-        places=positions if unit == "m" else angles,
+        places=poses if unit == "pose" else positions if unit == "m" else angles,
+        pose_format=pose_format,
+        pose_unit=pose_unit,
         exposures_ms=_checked(exposures_ms),
         lasers=lasers,
         every=every,

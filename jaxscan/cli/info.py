@@ -114,7 +114,7 @@ def _of_capture(path: Path) -> Facts:
         "lasers": [line.name for line in capture.lasers],
         "motion": capture.carries,
         "turned_deg": None
-        if not angles or MOTIONS[capture.carries or "scanner"].unit == "m"
+        if not angles or MOTIONS[capture.carries or "scanner"].unit != "rad"
         else float(np.degrees(np.ptp(angles))),
         "board": None if capture.board is None else capture.board.describe(),
         "digest": capture.digest(),

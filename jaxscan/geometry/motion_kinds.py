@@ -94,3 +94,7 @@ if TYPE_CHECKING:
     Carries = str
 else:
     Carries = Literal[tuple(MOTIONS)]
+
+PoseFormat = Literal["tum", "wxyz", "matrix", "rotvec", "rpy", "rpy-rad", "abc"]
+"""What the numbers of a given pose are, as robots and trackers write them."""
+PoseUnit = Literal["m", "mm"]

@@ -7,7 +7,7 @@ from typing import NamedTuple, Protocol, runtime_checkable
 import numpy as np
 
 from jaxscan.errors import MeasurementError
-from jaxscan.geometry import Array, Scanner, poses, transform
+from jaxscan.geometry import Array, Hand, Scanner, poses, transform
 
 
 SIGMA_FLOOR_M = 1e-4
@@ -273,10 +273,25 @@ def places_of(cloud: Cloud) -> Places:
 
 
 def camera_centres(cloud: Cloud, scanner: Scanner | None) -> np.ndarray:
-    """Where the camera was at each profile [profiles, 3], m; without a scanner in the origin of its station."""
+    """Where the camera was at each profile [profiles, 3], m; without a scanner in the origin of its station.
+
+    Raises:
+        MeasurementError: If the scanner rides on a hand whose poses are not there.
+    """
     places, angle = places_of(cloud), np.asarray(cloud.angle, np.float64)
+    check_path(scanner, angle)
     centre = np.zeros((len(angle), 3)) if scanner is None else poses(scanner.rig, angle)[:, :3, 3]
     return np.asarray(transform(places.pose[places.number], centre))
+
+
+def check_path(scanner: Scanner | None, angle: np.ndarray) -> None:
+    """Refuse a scanner on a hand without the poses of these profiles."""
+    motion = None if scanner is None else scanner.turntable
+    if isinstance(motion, Hand) and len(angle) and angle.max() >= len(motion.path):
+        raise MeasurementError(
+            "The calibration is that of a camera on a hand, and a cloud does not hold the hand's poses: measure "
+            "without the calibration, or in Python give scanner.along(capture.poses)."
+        )
 
 
 def spread_out(count: int, wanted: int, rng: np.random.Generator) -> np.ndarray:

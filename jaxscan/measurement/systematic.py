@@ -12,7 +12,7 @@ from jaxtyping import Float, Int
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Rig, Scanner, lit_points, lit_slopes, pixels, points, poses, transform
-from jaxscan.measurement.samples import Places, Samples
+from jaxscan.measurement.samples import Places, Samples, check_path
 
 
 FARTHEST_OFF, LEAST_SEEN = 0.05, 0.9
@@ -55,8 +55,10 @@ def effects_of(scanner: Scanner | None, places: Places, samples: Samples, weight
     """The effects of scanner and stations in sums of points [n] with weights [numbers, n, 3].
 
     Raises:
-        MeasurementError: If the scanner does not have the lasers of the points, or does not see them where they are.
+        MeasurementError: If the scanner does not have the lasers of the points, or does not see them where they are, or
+            rides on a hand whose poses are not there.
     """
+    check_path(scanner, samples.angle)
     pose = places.pose[samples.station]
     p = np.einsum("nji,nj->ni", pose[:, :3, :3], samples.p - samples.origin)
     turned = np.einsum("nji,knj->kni", pose[:, :3, :3], weights)

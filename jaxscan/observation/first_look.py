@@ -272,13 +272,15 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
     lines = [[(stripe, index, view.laser) for stripe in view.stripes] for index, view in enumerate(views)]
     others = [line for found in lines for line in found[1:]]
     width, height = first.image_size
+    # Where poses are given, the angle of a view is the place of its record among those of all captures.
+    start = np.cumsum([0, *(0 if one.poses is None else len(one.poses) for one in captures)])
     return Observations(
         board=look.board,
         corners=BoardViews(
             q=q,
             sigma=sigma,
             valid=valid,
-            angle=np.array([view.record.angle or 0.0 for view in views]),
+            angle=np.array([(view.record.angle or 0.0) + start[view.capture] for view in views]),
             placement=np.array([number[key] for key in keys], np.int32),
             # 64 bits: a journal of another program may count milliseconds.
             record=np.array([view.record.i for view in views], np.int64),
@@ -289,7 +291,7 @@ def to_observations(captures: Sequence[BoardSource], look: Look) -> Observations
         laser_names=tuple(line.name for line in first.lasers),
         up=first.up,
         carries=first.carries or "scanner",
-        poses=first.poses,
+        poses=None if first.poses is None else np.concatenate([one.poses for one in captures]),
         other_lines=stack_stripes(others) if others else None,
     )
 

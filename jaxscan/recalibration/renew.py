@@ -34,7 +34,9 @@ def require_prior(stored: Calibration, name: str = "the calibration") -> Scanner
             f"{name}: holds {parts}; sweeps refine a whole rig: calibrate it once with a board and the laser."
         )
     if not isinstance(scanner.turntable, Turntable):
-        moves = "a linear stage" if scanner.turntable.carries == "linear" else "a scanner that stands still"
+        moves = {"linear": "a linear stage", "poses": "a camera on a hand"}.get(
+            scanner.turntable.carries, "a scanner that stands still"
+        )
         raise CalibrationError(
             f"{name}: is that of {moves}; only sweeps of a turntable tell more of their rig: calibrate with boards."
         )

@@ -13,6 +13,7 @@ from jaxtyping import Bool, Float, Int
 from jaxscan.compiling import compile_wide
 from jaxscan.geometry import (
     Array,
+    Hand,
     Rig,
     Scanner,
     StripeAxis,
@@ -98,9 +99,11 @@ def range_table(scanner: Scanner, stripe_axis: StripeAxis = "rows") -> RangeTabl
 def _numerators(scanner: Scanner, laser: int, q: np.ndarray) -> np.ndarray:
     """std(m dd - d dm) at pixels of one laser: the sum of its derivatives along independent directions."""
     covariance, layout = np.asarray(scanner.covariance, np.float64), scanner.layout()
-    # Neither motion nor other sheets move a point along its ray.
-    own = layout.lasers.start + 5 * laser
-    matter = np.r_[layout.camera, own : own + 5]
+    # Neither other sheets nor a motion move a point along its ray. But where the camera sits on a hand was found by
+    # boards that it saw too far or too near, as it sees all else: the two make up for one another.
+    own, hand = layout.lasers.start + 5 * laser, isinstance(scanner.turntable, Hand)
+    matter = np.r_[layout.camera, own : own + 5, layout.turntable if hand else slice(0)]
+    ray = np.asarray(rays(scanner.rig, q)) if hand else None
     rig, variance = scanner.rig, np.zeros(q.shape[:-1])
     d, m = float(rig.laser(laser).distance), lit_points(rig, q, laser)[1]
     for step in root_of(covariance[np.ix_(matter, matter)]):
@@ -109,6 +112,9 @@ def _numerators(scanner: Scanner, laser: int, q: np.ndarray) -> np.ndarray:
         forth, back = (rig.retract(sign * whole) for sign in (1.0, -1.0))
         change_d = float(forth.laser(laser).distance - back.laser(laser).distance)
         change_m = lit_points(forth, q, laser)[1] - lit_points(back, q, laser)[1]
+        if ray is not None:
+            # The first three of a twist move the camera in its own frame.
+            change_d = change_d + m * (ray @ (2.0 * whole[layout.turntable][:3]))
         variance += ((m * change_d - d * change_m) / (2.0 * _STEP)) ** 2
     return np.sqrt(variance)
 

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple
 
 from jaxscan.calibration import Calibration, GoodTo, ModelTest, Quality, is_named, judge_views, noise_kind
-from jaxscan.geometry import MOTIONS
+from jaxscan.geometry import MOTIONS, Hand
 
 
 TESTS = {
@@ -188,6 +188,15 @@ def _explanation(calibration: Calibration, good_to: GoodTo) -> str:
         sentences.append(halved)
     if good_to.sigma_mm is not None and good_to.sigma_px is not None:
         sentences.append(f"Its rays are good to {pixels(good_to.sigma_px)}.")
+    motion = None if calibration.scanner is None else calibration.scanner.turntable
+    if isinstance(motion, Hand):
+        place, angle = (float(one) for one in motion.scatter)
+        reach = good_to.at_m or 1.0
+        away = millimetres(1e3 * math.hypot(place, angle * reach))
+        sentences.append(
+            f"This is within one profile: each pose of the hand is off by {millimetres(1e3 * place)} and "
+            f"{math.degrees(angle):.2g} degrees besides, which is {away} at {metres(reach)}."
+        )
     if board is not None and board.free != "parabola":
         sentences.append(f"The board's shape was freed: {millimetres(1e3 * board.rms_off_flat_m)} RMS off flat.")
     if held:

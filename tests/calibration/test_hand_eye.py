@@ -1,6 +1,7 @@
 """A camera on a hand whose poses are given: its place on the hand, and how the poses scatter."""
 
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from jaxscan.calibration import CalibrationSettings, KnownParts, calibrate_observations
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import motion_of
+from jaxscan.observation.first_look import Look, to_observations
+from jaxscan.observation.records import SeenRecord
 
 
 QUICK = CalibrationSettings(judge=False)
@@ -84,3 +87,23 @@ def test_a_hand_that_turns_about_one_axis_alone_is_refused(world):
     kind = type(motion_of("poses", translation_m=np.zeros(3), rotation=np.zeros(3)))
     with pytest.raises(ValueError, match="turned about one direction alone"):
         kind.of_boards(np.stack([poses[:-1], poses[1:]]), np.linalg.inv(poses[:-1]) @ poses[1:])
+
+
+def test_two_captures_keep_their_own_poses(seen):
+    observed, _ = seen
+    corners = observed.corners
+    two = []
+    for half in (slice(0, 10), slice(10, 24)):
+        poses = np.asarray(observed.poses)[half]
+        two.append(SimpleNamespace(image_size=(observed.width, observed.height), lasers=(), up="-v", carries="poses"))
+        two[-1].poses = poses
+    views = []
+    for at in reversed(range(24)):
+        capture, own = (0, at) if at < 10 else (1, at - 10)
+        record = SimpleNamespace(i=own, angle=float(own), placement=3)
+        found = np.asarray(corners.q)[at], np.asarray(corners.sigma)[at], np.asarray(corners.valid)[at]
+        views.append(SeenRecord(capture, record, corners=found))
+    joined = to_observations(two, Look(observed.board, views, None, None))
+    np.testing.assert_array_equal(joined.poses, observed.poses)
+    np.testing.assert_array_equal(joined.corners.angle, np.arange(24)[::-1])
+    assert len(set(np.asarray(joined.corners.placement))) == 2

@@ -181,11 +181,16 @@ def hand_boards(folder, *, seed=5, views=18):
     return write(folder, "calibration", '[turntable]\ncarries = "poses"\n' + LASER + BOARD, records)
 
 
+def hand_camera(step):
+    """R, t of T_cam0_cam at a step of `hand_sweep`: it travels and turns."""
+    at = -0.2 + 0.025 * step
+    return turned([0.2, 1.0, 0.1], 0.5 * at), np.array([at, 0.1 * at, 0.05 * at])
+
+
 def hand_sweep(folder, *, seed=6, steps=17):
-    """The scene from a hand that travels and turns."""
+    """The scene from a hand."""
     noise, records = np.random.default_rng(seed), []
-    for at in np.linspace(-0.2, 0.2, steps):
-        camera = turned([0.2, 1.0, 0.1], 0.5 * at), np.array([at, 0.1 * at, 0.05 * at])
+    for camera in map(hand_camera, range(steps)):
         records.append(([seen_from(plane, camera) for plane in SCENE], {"pose": pose_of(*camera, noise)}, True))
     return write(folder, "sweep", '[turntable]\ncarries = "poses"\n' + LASER, records)
 

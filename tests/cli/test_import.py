@@ -169,6 +169,65 @@ def test_a_linear_stage_and_a_scanner_that_stands_still(pairs, run, refused, tmp
     assert "--step-mm: is for --carries linear" in refused(*words, "--step-mm", "1")
 
 
+def test_positions_of_a_spreadsheet(pairs, run, refused, tmp_path):
+    folder, _ = pairs
+    for name, lines in (
+        ("comma", ['"image","position_mm"', *(f'"l_{k}.png",{k}.25' for k in range(12))]),
+        ("semicolon", ["\ufeffBild;Position (mm)", *(f"l_{k}.png;{k},25" for k in range(12))]),
+    ):
+        (tmp_path / f"{name}.csv").write_text("\r\n".join(lines), encoding="utf-8")
+        words = ("--carries", "linear", "--positions", tmp_path / f"{name}.csv")
+        assert run("import", folder, "-o", tmp_path / name, *PATTERNS, *words).code == 0
+        np.testing.assert_allclose(open_capture(tmp_path / name).angles, 0.001 * (np.arange(12) + 0.25))
+    (tmp_path / "plain.csv").write_text("".join(f"{k},25\n" for k in range(12)))
+    words = ("--carries", "linear", "--positions", tmp_path / "plain.csv")
+    assert "found two numbers in a line" in refused("import", folder, "-o", tmp_path / "no", *PATTERNS, *words)
+
+
+def test_poses_of_a_hand(pairs, run, refused, tmp_path):
+    folder, _ = pairs
+    poses, hand = tmp_path / "poses.txt", ("--carries", "poses")
+    words = ("import", folder, "-o", tmp_path / "a", *PATTERNS, *hand)
+    assert "--poses: is needed" in refused(*words)
+    assert "--poses: is for --carries poses" in refused(*words[:-2], "--poses", poses)
+    assert "--pose-unit: is for --carries poses" in refused(*words[:-2], "--step-deg", "1", "--pose-unit", "mm")
+    assert "--step-deg: is for --carries scanner or object" in refused(*words, "--step-deg", "1")
+    poses.write_text("".join(f"{10 * k} 0 5 0 0 {k}\n" for k in range(12)))
+    assert "line 1: found '0 0 5 0 0 0', expected one of --pose-format rotvec" in refused(*words, "--poses", poses)
+    millimetres = ("--poses", poses, "--pose-format", "rpy", "--pose-unit", "mm")
+    ran = run(*words, *millimetres)
+    assert ran.code == 0, ran.err
+    assert "poses: from poses.txt, within a box of 0.11 m, turned by up to 11 degrees" in " ".join(ran.out.split())
+    capture = open_capture(tmp_path / "a")
+    assert capture.carries == "poses" and "turned" not in run("info", tmp_path / "a").out
+    np.testing.assert_allclose(capture.poses[:, :3, 3], [[0.01 * k, 0, 0.005] for k in range(12)], atol=1e-12)
+    angle = np.radians(np.arange(12))
+    np.testing.assert_allclose(capture.poses[:, 1, 0], np.sin(angle), atol=1e-12)
+    # TUM, by name, in another order.
+    poses.write_text("# time and pose\n" + "".join(f"l_{k}.png {k} 0 0 {k} 0 0 0 1\n" for k in reversed(range(12))))
+    assert run("import", folder, "-o", tmp_path / "b", *PATTERNS, *hand, "--poses", poses).code == 0
+    np.testing.assert_array_equal(open_capture(tmp_path / "b").poses[:, 2, 3], np.arange(12))
+    for text, said in (
+        ("0 0 0 0 0 0 0 1\n", "found 1 lines, expected one for each of 12 images"),
+        ("0 0 0 0 0 0 0 3\n", "line 1: found '0 0 0 0 0 0 0 3', found no rigid motion"),
+        ("-\n" * 12, "line 1"),
+        ("1 " * 100_000, "line 1"),
+    ):
+        poses.write_text(text)
+        assert said in refused("import", folder, "-o", tmp_path / "c", *PATTERNS, *hand, "--poses", poses)
+
+
+def test_a_board_that_a_hand_goes_round(run, tmp_path):
+    save(tmp_path / "in", [f"v{k}.png" for k in range(4)])
+    poses = tmp_path / "poses.txt"
+    poses.write_text("0 1 2 3 0 0 0 1\n-\n0 2 2 3 0 0 0 1\n0 3 2 3 0 0 0 1\n")
+    words = ("--board", "chessboard 6x4 25mm", "--carries", "poses", "--poses", poses)
+    ran = run("import", tmp_path / "in", "-o", tmp_path / "a", *words)
+    assert ran.code == 0 and "the board stood still" in ran.out
+    records = open_capture(tmp_path / "a").records
+    assert [record.placement for record in records] == [0, None, 0, 0] and records[1].pose is None
+
+
 def test_placements_of_a_board(run, tmp_path):
     save(tmp_path / "in", [f"v{k}.png" for k in range(6)])
     board = ("--board", "chessboard 6x4 25mm")

@@ -8,8 +8,10 @@ import json
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
 import jaxscan
+from jaxscan.errors import MeasurementError
 
 from . import plain_rig
 
@@ -48,6 +50,20 @@ def reconstructed(run, folder, sweep, calibration, name):
     return jaxscan.load_cloud(folder / f"cloud-{name}.npz")
 
 
+def imported(run, capture, lines, *words):
+    """The images of a capture, brought in as another program's, with a table of places."""
+    path, table = capture.with_name(f"{capture.name}-imported"), capture.with_suffix(".csv")
+    table.write_text("\n".join(lines) + "\n")
+    patterns = ("--on", "on/*.png", "--off", "off/*.png")
+    ran = run("import", capture, "-o", path, *patterns, *(table if word is ... else word for word in words))
+    assert ran.code == 0, ran.err
+    return path
+
+
+def journal(capture):
+    return [json.loads(line) for line in (capture / "frames.jsonl").read_text().splitlines()]
+
+
 def assert_camera(path):
     calibration = jaxscan.load_calibration(path)
     sigma = dict(zip(calibration.order, np.sqrt(np.diag(calibration.covariance)), strict=True))
@@ -60,6 +76,13 @@ def assert_camera(path):
 @pytest.mark.more
 def test_a_linear_stage(folder, run, refused, calibrated):
     capture = boards(folder, "linear", "linear", positions=(-0.1, -0.03, 0.04, 0.1))
+    # As a spreadsheet writes it in half of Europe.
+    lines = [
+        f"{one['on']};{1000 * one['position_m']:g};{one['placement']}".replace(".", ",") for one in journal(capture)
+    ]
+    lines = ["image;mm;placement", *(line.replace(",png", ".png") for line in lines)]
+    words = ("--carries", "linear", "--positions", ...)
+    capture = imported(run, capture, lines, *words, "--board", "chessboard 7x5 70mm")
     path, said = calibrated("linear", capture)
     assert said.startswith("solving for camera, sheet and direction of travel\n")
     table = json.loads(path.read_text())["turntable"]
@@ -72,6 +95,7 @@ def test_a_linear_stage(folder, run, refused, calibrated):
     assert off < 5 * np.hypot(sigma["travel.t1"], sigma["travel.t2"]) < 0.01
     assert abs(float(stage.gain) - 1.0) < 5 * sigma["gain"] < 0.005
     sweep = plain_rig.sweep_capture(folder / "linear-sweep", "linear", np.linspace(-0.2, 0.2, 17).round(4).tolist())
+    sweep = imported(run, sweep, [f"{1000 * one['position_m']:g}" for one in journal(sweep)], *words)
     cloud = reconstructed(run, folder, sweep, path, "linear")
     # The frame is that of the camera at position 0.
     found = jaxscan.measure_distance(
@@ -86,6 +110,61 @@ def test_a_linear_stage(folder, run, refused, calibrated):
     turning = plain_rig.sweep_capture(folder / "turning-sweep", "scanner", [0.0, 5.0])
     message = refused("reconstruct", turning, "-c", path, "-o", folder / "no.npz")
     assert 'says carries = "scanner", the calibration "linear"' in message
+
+
+def flat_points(cloud):
+    """Errors along the ray [sigma] of points that are 3 px and more from an edge; and [m]."""
+    valid = np.asarray(cloud.valid)
+    record = np.broadcast_to(np.asarray(cloud.record)[:, None], valid.shape)[valid]
+    seen = (np.asarray(cloud.xyz, float)[valid] - plain_rig.BASE[1]) @ plain_rig.BASE[0]
+    turn, at = (np.array(part)[record] for part in zip(*map(plain_rig.hand_camera, range(17)), strict=True))
+    into = lambda rays: np.einsum("nji,nj->ni", turn, rays)
+    pixel = into(seen - at)[:, :2] / into(seen - at)[:, 2:]
+
+    def hit(off):
+        ray = np.einsum("nij,nj->ni", turn, np.column_stack([pixel + off / plain_rig.FOCAL, np.ones(len(pixel))]))
+        ray /= np.linalg.norm(ray, axis=1)[:, None]
+        block = (1.0 - at[:, 2]) / ray[:, 2]
+        x, y, _ = (at + block[:, None] * ray).T
+        on = (np.abs(x) < 0.12) & (np.abs(y) < 0.15)
+        return on, np.where(on, block, (1.2 - at[:, 2]) / ray[:, 2])
+
+    on, depth = hit(np.zeros(2))
+    offsets = np.stack(np.meshgrid(np.arange(-3, 4), np.arange(-3, 4)), -1).reshape(-1, 2)
+    flat = np.all([hit(off)[0] == on for off in offsets], axis=0)
+    error = np.linalg.norm(seen - at, axis=1) - depth
+    sigma = np.hypot(*(np.asarray(part, float)[valid] for part in (cloud.sigma_random, cloud.sigma_systematic)))
+    assert flat.sum() > 0.9 * len(flat)
+    return error[flat] / sigma[flat], error[flat]
+
+
+@pytest.mark.more
+def test_a_camera_on_a_hand(folder, run, refused, calibrated):
+    path, said = calibrated("hand", plain_rig.hand_boards(folder / "hand"))
+    assert said.startswith("solving for camera, sheet and place of the camera on the hand\n")
+    assert "each pose of the hand is off by" in " ".join(said.split())
+    assert_camera(path)
+    sweep = plain_rig.hand_sweep(folder / "hand-sweep")
+    poses = np.reshape([one["pose"] for one in journal(sweep)], (-1, 3, 4))
+    numbers = np.hstack([1000 * poses[:, :, 3], Rotation.from_matrix(poses[:, :, :3]).as_rotvec()])
+    lines = [f"{one['on']}, " + ", ".join(map(str, row)) for one, row in zip(journal(sweep), numbers, strict=True)]
+    words = ("--carries", "poses", "--poses", ..., "--pose-format", "rotvec", "--pose-unit", "mm")
+    sweep = imported(run, sweep, lines, *words)
+    cloud = reconstructed(run, folder, sweep, path, "hand")
+    z, error = flat_points(cloud)
+    # Most of the error is shared by all points: one draw, as that of a length.
+    assert 1.4826 * np.median(np.abs(z)) < 1.25 and np.mean(np.abs(z) > 5) < 0.001
+    assert np.sqrt(np.mean(error**2)) < 1e-3
+    base = lambda *point: plain_rig.BASE[0] @ np.array(point) + plain_rig.BASE[1]
+    scanner = jaxscan.load_scanner(path)
+    places = base(0.0, 0.0, 1.0), base(-0.22, 0.0, 1.2)
+    with pytest.raises(MeasurementError, match="a cloud does not hold the hand's poses"):
+        jaxscan.measure_distance(cloud, *places, radius_m=0.06, scanner=scanner)
+    scanner = scanner.along(jaxscan.open_capture(sweep).poses)
+    found = jaxscan.measure_distance(cloud, *places, radius_m=0.06, scanner=scanner)
+    assert abs(found.plane_to_plane_m - 0.2) < 5 * found.plane_to_plane_sigma_m < 0.01
+    for verb, message in (("recalibrate", "is that of a camera on a hand"), ("panorama", "a camera that turns")):
+        assert message in refused(verb, sweep, "-c", path, "-o", folder / "no.json")
 
 
 @pytest.mark.more

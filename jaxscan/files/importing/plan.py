@@ -1,9 +1,10 @@
 """The plan of an import: which images make which record, at which angle or position."""
 
+import io
 import itertools
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import NamedTuple
@@ -12,7 +13,9 @@ from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.capture import BoardTable
 from jaxscan.files.disk import MEGABYTE, read_bounded
 from jaxscan.files.importing.listing import Matched, Source
+from jaxscan.files.importing.poses import describe_poses, read_pose
 from jaxscan.geometry import MOTIONS, Carries
+from jaxscan.geometry.motion_kinds import PoseFormat, PoseUnit
 
 
 Step = tuple[Matched, ...]
@@ -107,10 +110,12 @@ _MOST_DEG = 1e6
 
 
 class RecordPlace(NamedTuple):
-    """The table's angle [deg] or the stage's position [mm] in one record, and the placement of the board."""
+    """Angle of the table [deg], position of a stage [mm] or pose of a hand in one record, and the board's placement."""
 
     value: float | None
     placement: int | None = None
+    pose: tuple[float, ...] | None = None
+    """T_base_hand as twelve numbers, row after row [m]."""
 
 
 def by_step(keys: Sequence[tuple[int | str, ...]], step: float, unit: str) -> tuple[list[RecordPlace], str]:
@@ -185,33 +190,36 @@ def _counting(keys: Sequence[tuple[int | str, ...]]) -> list[int] | None:
     return whole if rising and whole[-1] - whole[0] < 100 * len(whole) else None
 
 
-def by_file(path: Path, names: Sequence[str]) -> tuple[list[RecordPlace], str]:
+_MOST_WORDS = 20
+
+
+def by_file(
+    path: Path, names: Sequence[str], read: Callable[[Sequence[str]], RecordPlace] | None = None
+) -> tuple[list[RecordPlace], str]:
     """Places from a text file: a line for each image, in order or with the image's name first.
 
     A line holds the angle [deg] or position [mm], "-" where it is not known, and perhaps the number of the board's
-    placement, parted by blanks, commas or semicolons. Lines that begin with # are left out.
+    placement, parted by blanks, commas or semicolons; beside semicolons a comma is a decimal point. Lines that begin
+    with #, and a first line of words alone, are left out.
 
     Args:
         names: Names of the images, in natural order.
+        read: Reads the words of a line behind the name, where they are no angle or position; what it raises as
+            `ValueError` is said with the line.
     """
-    text = read_bounded(path, MEGABYTE, error=CaptureError).decode("utf-8", "replace")
-    lines = [(number, line.strip()) for number, line in enumerate(text.splitlines(), 1)]
-    rows = [
-        (number, [word for word in re.split(r"[\s,;]+", line) if word])
-        for number, line in lines
-        if line and not line.startswith("#")
-    ]
-    named, plain = dict[str, RecordPlace](), list[RecordPlace]()
-    for number, words in rows:
-        name = None if _is_angle(words[0]) else words[0]
-        values = words if name is None else words[1:]
-        if not 1 <= len(values) <= 2 or not _is_angle(values[0]) or not all(one.isdecimal() for one in values[1:]):
-            raise CaptureError(
-                f"{path}: line {number}: found {' '.join(words)[:60]!r}, expected a number, or an image's name "
-                "and a number, and perhaps the number of a placement."
-            )
-        angle = None if values[0] == "-" else float(values[0])
-        place = RecordPlace(angle, int(values[1][:9]) if len(values) > 1 else None)
+    text = read_bounded(path, 8 * MEGABYTE, error=CaptureError).decode("utf-8-sig", "replace")
+    named, plain, first = dict[str, RecordPlace](), list[RecordPlace](), True
+    for number, line in enumerate(io.StringIO(text), 1):
+        words = _words(line)
+        if not words or words[0].startswith("#") or (first and not any(_is_number(word) for word in words)):
+            first = first and not words
+            continue
+        first = False
+        name = None if _is_number(words[0]) else words[0]
+        try:
+            place = (read or _read_place)(words if name is None else words[1:])
+        except ValueError as problem:
+            raise CaptureError(f"{path}: line {number}: found {' '.join(words)[:60]!r}, {problem}.") from None
         if name is None:
             plain.append(place)
         else:
@@ -229,13 +237,30 @@ def by_file(path: Path, names: Sequence[str]) -> tuple[list[RecordPlace], str]:
     return [named.get(name) or named[name.rpartition("/")[2]] for name in names], f"from {path.name}, by name"
 
 
-def _is_angle(word: str) -> bool:
-    if word == "-":
-        return True
+def _words(line: str) -> list[str]:
+    separators = r"[\s,]+"
+    if ";" in line:
+        separators, line = r"[\s;]+", line.replace(",", ".")
+    return [word.strip("\"'") for word in re.split(separators, line.strip(), maxsplit=_MOST_WORDS) if word]
+
+
+def _read_place(values: Sequence[str]) -> RecordPlace:
+    if not 1 <= len(values) <= 2 or not _is_angle(values[0]) or not all(one.isdecimal() for one in values[1:]):
+        raise ValueError("expected a number, or an image's name and a number, and perhaps the number of a placement")
+    angle = None if values[0] == "-" else float(values[0])
+    return RecordPlace(angle, int(values[1][:9]) if len(values) > 1 else None)
+
+
+def _is_number(word: str) -> bool:
+    """Whether it is no name."""
     try:
-        return abs(float(word)) <= _MOST_DEG
+        return word == "-" or float(word) is not None
     except ValueError:
         return False
+
+
+def _is_angle(word: str) -> bool:
+    return word == "-" or (_is_number(word) and abs(float(word)) <= _MOST_DEG)
 
 
 _MOST = 1e5
@@ -257,6 +282,9 @@ class ImportRequest:
     step: float | None = None
     """Step of the table [deg] or of a linear stage [mm] between records."""
     places: Path | None = None
+    """File of angles, positions or poses."""
+    pose_format: PoseFormat | None = None
+    pose_unit: PoseUnit = "m"
     exposures_ms: tuple[float, ...] = ()
     lasers: tuple[str, ...] = ()
     every: int = 1
@@ -319,7 +347,7 @@ def plan_records(folder: Path, roles: Roles, request: ImportRequest) -> ImportPl
     said = [*roles.said, *columns.said]
     first = [step[0] for step in columns.on[0][1]] if columns.on else list(roles.boards)
     places, sentence = _places(first, roles.step_deg, request)
-    said += [f"{'positions' if _goes(request) else 'angles'}: {sentence}"] if sentence else []
+    said += [f"{_PLACES[_unit(request)]}: {sentence}"] if sentence else []
     records = _with_laser(columns, places, several=len({name for name, _ in columns.on}) > 1)
     # Boards beside pairs are in other poses, so they take no part in the turning.
     of_boards = [RecordPlace(None)] * len(roles.boards) if columns.on else places
@@ -347,17 +375,22 @@ def _with_laser(columns: RecordImages, places: Sequence[RecordPlace], *, several
     return made
 
 
-def _goes(request: ImportRequest) -> bool:
-    """Whether positions are lengths."""
-    return request.carries is not None and MOTIONS[request.carries].unit == "m"
+_PLACES = {"m": "positions", "pose": "poses", "rad": "angles", "": "angles"}
+
+
+def _unit(request: ImportRequest) -> str:
+    """Unit of positions."""
+    return MOTIONS[request.carries or "scanner"].unit
 
 
 def _places(
     first: Sequence[Matched], known: float | None, request: ImportRequest
 ) -> tuple[list[RecordPlace], str | None]:
     """The table's angle, or the position of the stage, in every record, by the first image of each."""
+    if _unit(request) == "pose":
+        return _poses([str(one.source) for one in first], request)
     keys = [one.key for one in first]
-    words = _MILLIMETRES if _goes(request) else _DEGREES
+    words = _MILLIMETRES if _unit(request) == "m" else _DEGREES
     step = known if request.step is None else request.step
     if request.step is not None and request.places is not None:
         raise OptionError(f"{words.step} and {words.file}: found both, expected one of them.")
@@ -384,7 +417,32 @@ def _places(
         )
     if request.board is None and any(place.value is None for place in places):
         raise CaptureError(f"{request.places}: a place is unknown, and a sweep needs that of every image.")
+    if request.board is None and any(place.placement is not None for place in places):
+        raise CaptureError(
+            f"{request.places}: found two numbers in a line, expected one for each image of a sweep; a comma is a "
+            "decimal point only in files with semicolons."
+        )
     return places, said
+
+
+def _poses(names: Sequence[str], request: ImportRequest) -> tuple[list[RecordPlace], str]:
+    """The pose of the hand in every record."""
+    if request.places is None:
+        raise OptionError(f"--poses: is needed: a file with the pose of the hand for each of {len(names)} images.")
+    # A hand goes round a board that stands.
+    placement = None if request.board is None else 0
+
+    def read(words: Sequence[str]) -> RecordPlace:
+        if list(words) == ["-"] and request.board is not None:
+            return RecordPlace(None)
+        return RecordPlace(None, placement, read_pose(words, request.pose_format, request.pose_unit))
+
+    places, said = by_file(request.places, names, read)
+    known = [place.pose for place in places if place.pose is not None]
+    if not known:
+        raise CaptureError(f"{request.places}: found no pose.")
+    said += f", {describe_poses(known, request.pose_unit)}"
+    return places, said + ("" if placement is None else "; the board stood still meanwhile")
 
 
 class _Words(NamedTuple):

@@ -151,13 +151,15 @@ def _is_jpeg(name: str) -> bool:
 
 
 def _extra(record: PlannedRecord, *, linear: bool) -> dict[str, Any]:
-    """Further keys of a record: the names of its images, its laser, and the position of a stage."""
+    """Further keys of a record: the names of its images, its laser, and the position of a stage or a hand."""
     sides = {"on": record.on, "off": record.off}
     extra: dict[str, Any] = {"source": {side: [str(one) for one in images] for side, images in sides.items() if images}}
     if record.laser is not None:
         extra["lasers"] = [record.laser]
     if linear and record.place.value is not None:
         extra["position_m"] = record.place.value / 1000
+    if record.place.pose is not None:
+        extra["pose"] = list(record.place.pose)
     return extra
 
 
