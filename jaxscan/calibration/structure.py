@@ -44,6 +44,8 @@ _REPEATED = 0.05
 _CHANCE = 4.0
 _LENS_DEGREE, _HEIGHT_DEGREE, _PRINT_DEGREE = 6, 4, 3
 _RADIAL_POWERS = (4, 5)
+# Standard deviation of a step of the lens, in its scales: ten are those of the priors of xi and k3.
+_LONGEST = 10.0
 # Of the sheet along the stripe, and across it.
 _SHEET_DEGREES = (5, 1)
 # Zones of the image by the place in it, -1 ... 1: corners where both coordinates are beyond this, edges where one is,
@@ -502,7 +504,10 @@ def _of_lens(result: Adjustment, shape: np.ndarray, imitation: np.ndarray) -> tu
     # The rays of the fitted camera are off by this much [px], rows u and v in turn.
     field = by_camera @ imitation[camera] - shape[used]
     free = np.asarray(result.problem.scales)[camera]
-    imitation[camera] = np.linalg.lstsq(by_camera * free, field, rcond=1e-9)[0] * free
+    # Twin lenses meet where some combination moves no corner, to first order: any way along it would explain nothing.
+    hold = np.sqrt(np.mean(np.square(field))) / _LONGEST * np.eye(len(free))
+    held = np.concatenate([by_camera * free, hold]), np.concatenate([field, np.zeros(len(free))])
+    imitation[camera] = np.linalg.lstsq(*held, rcond=1e-9)[0] * free
     rest, steps = (field - by_camera @ imitation[camera]).reshape(-1, 2), []
     for axis, (focal, centre) in enumerate((("fx", "cx"), ("fy", "cy"))):
         size, reach = (np.sqrt(np.mean(np.square(values))) for values in (rest[:, axis], by_camera[axis::2, axis]))
