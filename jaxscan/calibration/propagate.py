@@ -48,8 +48,9 @@ _GRID = (16, 12)
 _SMALL = 1e-3
 # A lens model that does not come back to a pixel does not reach it.
 _RETURNS_PX = 1e-2
-# A lens is judged up to the angle at which its image first shrinks to this share of the scale in the middle. There the
-# real ones are dark, while powers of the angle turn back or run off: steps of them that nothing holds would be told.
+# A wide lens is judged up to the angle at which its image first shrinks to this share of the scale in the middle. About
+# there real ones end in the dark, while powers of the angle turn back or run off: a step of a coefficient that only the
+# rim would show is thousands of pixels beyond it, where no ray comes from.
 _LEAST_SCALE = 0.5
 _SIDES = ((1, 0), (0, 1), (-1, 0), (0, -1))
 _ANGLES = np.radians(np.arange(180.0))
@@ -499,6 +500,9 @@ def image_places(camera: AbstractCamera) -> tuple[Float[np.ndarray, "places 2"],
 
 def edge_deg(camera: AbstractCamera) -> float | None:
     """Angle to the optical axis beyond which a lens is not judged [degrees]; None where the image has nothing there."""
+    if not camera.wide:
+        # Its sensor is lit into the corners, whatever a fit makes of them.
+        return None
     away = np.stack([np.sin(_ANGLES), np.zeros(len(_ANGLES)), np.cos(_ANGLES)], axis=-1)
     scale = np.linalg.norm(np.diff(np.asarray(camera.project(away)), axis=0), axis=1)
     small = np.degrees(_ANGLES[:-1][~(scale > _LEAST_SCALE * scale[0])])

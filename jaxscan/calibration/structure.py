@@ -44,8 +44,6 @@ _REPEATED = 0.05
 _CHANCE = 4.0
 _LENS_DEGREE, _HEIGHT_DEGREE, _PRINT_DEGREE = 6, 4, 3
 _RADIAL_POWERS = (4, 5)
-# Standard deviation of a step of the lens, in its scales: ten are those of the priors of xi and k3.
-_LONGEST = 10.0
 # Of the sheet along the stripe, and across it.
 _SHEET_DEGREES = (5, 1)
 # Zones of the image by the place in it, -1 ... 1: corners where both coordinates are beyond this, edges where one is,
@@ -396,10 +394,15 @@ def _mean_residual(result: Adjustment) -> Float[np.ndarray, "views rows"]:
     parts: dict[str, Any] = {name: np.asarray(getattr(problem, name))[seen] for name in fields}
     some = replace(problem, **parts)
     here, total = corner_pixels(some), np.zeros(np.shape(problem.corner_q))
+    weight = np.asarray(some.corner_weight)[..., None]
     for shared, local in steps:
-        # Half the sum of second differences.
-        for sign in (1.0, -1.0):
-            total[seen] += 0.5 * (corner_pixels(move(Unknowns(sign * shared, sign * local), some)) - here)
+        back, forth = (corner_pixels(move(Unknowns(sign * shared, sign * local), some)) for sign in (-1.0, 1.0))
+        bend = 0.5 * (back + forth) - here
+        if np.any(shared):
+            # Where two lenses that are alike meet, the first order lets a step go anywhere: there the bend itself, at
+            # one standard deviation of all corners, is what ends it.
+            bend = bend / max(float(np.linalg.norm(bend * weight)), 1.0)
+        total[seen] += bend
     return total.reshape(len(total), -1)
 
 
@@ -504,10 +507,7 @@ def _of_lens(result: Adjustment, shape: np.ndarray, imitation: np.ndarray) -> tu
     # The rays of the fitted camera are off by this much [px], rows u and v in turn.
     field = by_camera @ imitation[camera] - shape[used]
     free = np.asarray(result.problem.scales)[camera]
-    # Twin lenses meet where some combination moves no corner, to first order: any way along it would explain nothing.
-    hold = np.sqrt(np.mean(np.square(field))) / _LONGEST * np.eye(len(free))
-    held = np.concatenate([by_camera * free, hold]), np.concatenate([field, np.zeros(len(free))])
-    imitation[camera] = np.linalg.lstsq(*held, rcond=1e-9)[0] * free
+    imitation[camera] = np.linalg.lstsq(by_camera * free, field, rcond=1e-9)[0] * free
     rest, steps = (field - by_camera @ imitation[camera]).reshape(-1, 2), []
     for axis, (focal, centre) in enumerate((("fx", "cx"), ("fy", "cy"))):
         size, reach = (np.sqrt(np.mean(np.square(values))) for values in (rest[:, axis], by_camera[axis::2, axis]))

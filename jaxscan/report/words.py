@@ -142,7 +142,9 @@ def good_to_words(good_to: GoodTo) -> str:
             return f"{millimetres(good_to.sigma_mm)} at {metres(good_to.at_m)}"
         article = "a " if good_to.length_m >= _WALL_M else ""
         return f"{millimetres(good_to.sigma_mm)} for {article}{length_words('wall', good_to.length_m, good_to.at_m)}"
-    return "an unknown size" if good_to.sigma_px is None else f"{pixels(good_to.sigma_px)} over the image{_edge(good_to)}"
+    return (
+        "an unknown size" if good_to.sigma_px is None else f"{pixels(good_to.sigma_px)} over the image{_edge(good_to)}"
+    )
 
 
 def _edge(good_to: GoodTo) -> str:
