@@ -14,6 +14,7 @@ import numpy as np
 from jaxscan.calibration.adjust import Adjustment, solve_again
 from jaxscan.calibration.joint import Linearised
 from jaxscan.calibration.problem import layout_of, prepare
+from jaxscan.calibration.propagate import field_radius
 from jaxscan.calibration.settings import CalibrationSettings
 from jaxscan.calibration.sheets import Lifted, lift_stripes
 from jaxscan.geometry import LaserSheet
@@ -23,11 +24,11 @@ from jaxscan.observation import Observations
 
 # Directions of which a part knows less than this share beyond the priors, or beyond the whole.
 _PRIOR_HELD = 0.05
-# The middle of the image reaches to the farthest corner as that to the corners of the image, within these bounds.
+# The middle of the image reaches to the farthest corner as that to the end of the image, within these bounds.
 _MIDDLE = (0.6, 0.9)
 # Corners that count as the farthest reach beyond this share of all.
 _FARTHEST = 0.995
-# Where corners reach this share of the way to the corners of the image, no lens is asked beyond them.
+# Where corners reach this share of the way to the end of the image, no lens is asked beyond them.
 _REACHED = 0.95
 # Difference of the correlations of two unknowns, taken either way, up to which they are more than rounding.
 _SYMMETRIC = 1e-6
@@ -101,14 +102,15 @@ def compare_halves(
 def compare_regions(result: Adjustment, settings: CalibrationSettings) -> Split | None:
     """The lens by the corners in the middle of the image, against that by all; None where corners are everywhere.
 
-    The middle is chosen so that the farthest corners lie as far beyond it as the corners of the image beyond them.
+    The middle is chosen so that the farthest corners lie as far beyond it as the end of the image beyond them.
     """
-    kept, half = result.corner_inlier, np.array(result.data.size) / 2.0
-    radius = np.linalg.norm(result.data.corner_q - half + 0.5, axis=-1)
-    reached = float(np.quantile(radius[kept], _FARTHEST)) / float(np.linalg.norm(half)) if kept.any() else 1.0
+    kept, (width, height) = result.corner_inlier, result.data.size
+    end = field_radius(replace(result.problem.camera, width=width, height=height))
+    radius = np.linalg.norm(result.data.corner_q - np.array([width - 1, height - 1]) / 2.0, axis=-1)
+    reached = float(np.quantile(radius[kept], _FARTHEST)) / end if kept.any() else 1.0
     if reached > _REACHED:
         return None
-    inner = radius <= np.clip(reached, *_MIDDLE) * reached * np.linalg.norm(half)
+    inner = radius <= np.clip(reached, *_MIDDLE) * reached * end
     inner = inner & (np.count_nonzero(inner & kept, axis=1) >= _LEAST_CORNERS)[:, None]
     if np.count_nonzero(inner.any(1)) < 3:
         return None

@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxscan.calibration.advice import refusal
 from jaxscan.calibration.calibrate import calibrate_observations
-from jaxscan.calibration.propagate import RETURNS_PX, image_places
+from jaxscan.calibration.propagate import image_places
 from jaxscan.calibration.result import Calibration, GoodTo, Verdict, is_named
 from jaxscan.calibration.rigs import KnownParts
 from jaxscan.calibration.settings import CalibrationSettings
@@ -140,13 +140,11 @@ def advise_lens(calibration: Calibration, other: OtherLens) -> Calibration:
 
 
 def ray_difference(camera: AbstractCamera, other: AbstractCamera) -> float:
-    """Root mean square distance of the rays of two cameras over the image, after the best rotation [px]."""
+    """Root mean square distance of the rays of two cameras after the best rotation, where the first has light [px]."""
     camera, other = (jax.tree.map(np.asarray, one) for one in (camera, other))
-    q = image_places(camera)
-    there, ray = np.asarray(camera.unproject(q)), np.asarray(other.unproject(q))
-    # Where the lens ends, a pixel has no ray, and gets the last one.
-    sees = np.linalg.norm(np.asarray(camera.project(there)) - q, axis=1) < RETURNS_PX
-    there, ray, q = (part[sees & np.isfinite(there).all(1) & np.isfinite(ray).all(1)] for part in (there, ray, q))
+    q, there = image_places(camera)
+    ray = np.asarray(other.unproject(q))
+    there, ray, q = (part[np.isfinite(there).all(1) & np.isfinite(ray).all(1)] for part in (there, ray, q))
     for _ in range(_ROTATION_ROUNDS):
         # Turns of rays by which they come nearest, one small turn after the other.
         turns = np.stack([np.cross(axis, ray) for axis in np.eye(3)], -1).reshape(-1, 3)

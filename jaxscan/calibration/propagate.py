@@ -47,7 +47,13 @@ _GRID = (16, 12)
 # Rays are moved by this part of a step, so that the next order is a millionth also of steps that are large.
 _SMALL = 1e-3
 # A lens model that does not come back to a pixel does not reach it.
-RETURNS_PX = 1e-2
+_RETURNS_PX = 1e-2
+# A wide lens is judged up to the angle at which its image first shrinks to this share of the scale in the middle. About
+# there real ones end in the dark, while powers of the angle turn back or run off: a step of a coefficient that only the
+# rim would show is thousands of pixels beyond it, where no ray comes from.
+_LEAST_SCALE = 0.5
+_SIDES = ((1, 0), (0, 1), (-1, 0), (0, -1))
+_ANGLES = np.radians(np.arange(180.0))
 
 
 def spread(
@@ -428,7 +434,8 @@ def measure_good_to(
         for index, (test, steps) in enumerate(structure, 1)
     ]
     whole = lambda parts: float(np.linalg.norm(parts)) if parts else None
-    return GoodTo(whole(mm), mm[0] if mm else None, far, whole(px), px[0], length, shares), tuple(tests)
+    statistical_mm = mm[0] if mm else None
+    return GoodTo(whole(mm), statistical_mm, far, whole(px), px[0], length, shares, edge_deg(camera)), tuple(tests)
 
 
 def _error_at(
@@ -473,25 +480,56 @@ def _by_part(scanner: Scanner, steps: np.ndarray) -> list[tuple[str, np.ndarray]
 
 def ray_error(camera: AbstractCamera, steps: Float[np.ndarray, "steps params"]) -> float:
     """Distance of rays from where they should be, root mean square over the image after the best rotation [px]."""
-    q = image_places(camera)
-    ray = np.asarray(camera.unproject(q))
+    _, ray = image_places(camera)
     moved = spread(camera, _SMALL * steps, lambda some: np.asarray(some.project(ray))) / _SMALL
     turns = np.asarray(camera.slopes(ray)) @ np.stack([np.cross(axis, ray) for axis in np.eye(3)], -1)
-    reached = np.linalg.norm(np.asarray(camera.project(ray)) - q, axis=1) < RETURNS_PX
-    reached &= np.isfinite(moved).all((0, 2)) & np.isfinite(turns).all((1, 2))
+    reached = np.isfinite(moved).all((0, 2)) & np.isfinite(turns).all((1, 2))
     count = int(np.count_nonzero(reached))
     turns, moved = turns[reached].reshape(-1, 3), moved[:, reached].reshape(len(steps), 2 * count).T
     left = moved - turns @ np.linalg.lstsq(turns, moved, rcond=None)[0]
     return float(np.sqrt(np.sum(left**2) / max(count, 1)))
 
 
-def image_places(camera: AbstractCamera) -> Float[np.ndarray, "places 2"]:
-    """Pixels all over the image."""
+def image_places(camera: AbstractCamera) -> tuple[Float[np.ndarray, "places 2"], Float[np.ndarray, "places 3"]]:
+    """Pixels all over the image that the lens reaches within its `edge_deg`, and their rays."""
+    q, ray, edge = *_all_places(camera), edge_deg(camera)
+    reached = np.linalg.norm(np.asarray(camera.project(ray)) - q, axis=1) < _RETURNS_PX
+    reached &= _off_axis_deg(ray) < (np.inf if edge is None else edge)
+    return q[reached], ray[reached]
+
+
+def edge_deg(camera: AbstractCamera) -> float | None:
+    """Angle to the optical axis beyond which a lens is not judged [degrees]; None where the image has nothing there."""
+    if not camera.wide:
+        # Its sensor is lit into the corners, whatever a fit makes of them.
+        return None
+    away = np.stack([np.sin(_ANGLES), np.zeros(len(_ANGLES)), np.cos(_ANGLES)], axis=-1)
+    scale = np.linalg.norm(np.diff(np.asarray(camera.project(away)), axis=0), axis=1)
+    small = np.degrees(_ANGLES[:-1][~(scale > _LEAST_SCALE * scale[0])])
+    return float(small[0]) if len(small) and np.any(_off_axis_deg(_all_places(camera)[1]) >= small[0]) else None
+
+
+def field_radius(camera: AbstractCamera) -> float:
+    """Distance from the middle of the image to the farthest of its pixels within `edge_deg` [px]."""
+    half, edge = np.array([camera.width, camera.height]) / 2.0, edge_deg(camera)
+    if edge is None:
+        return float(np.linalg.norm(half))
+    ray = [[np.sin(np.radians(edge)) * x, np.sin(np.radians(edge)) * y, np.cos(np.radians(edge))] for x, y in _SIDES]
+    ends = np.linalg.norm(np.asarray(camera.project(np.array(ray))) - half + 0.5, axis=1)
+    return min(float(np.linalg.norm(half)), float(ends.max()))
+
+
+def _all_places(camera: AbstractCamera) -> tuple[np.ndarray, np.ndarray]:
     u, v = (
         (np.arange(count) + 0.5) / count * size - 0.5
         for count, size in zip(_GRID, (camera.width, camera.height), strict=True)
     )
-    return np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    q = np.stack(np.meshgrid(u, v), axis=-1).reshape(-1, 2)
+    return q, np.asarray(camera.unproject(q))
+
+
+def _off_axis_deg(ray: np.ndarray) -> np.ndarray:
+    return np.degrees(np.arctan2(np.hypot(ray[:, 0], ray[:, 1]), ray[:, 2]))
 
 
 def focal_share(camera: AbstractCamera, steps: Float[np.ndarray, "steps params"]) -> float:

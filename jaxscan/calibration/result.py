@@ -160,6 +160,8 @@ class GoodTo:
     """Of that wall; None without a motion, and in files of earlier versions, whose error is that of points."""
     parts: tuple[GoodToPart, ...] = ()
     """What each part of the rig adds to `statistical_mm`; their squares add up to its square."""
+    edge_deg: float | None = None
+    """Angle to the optical axis beyond which rays were not judged [degrees]; None where all of the image was."""
 
 
 @dataclass(frozen=True)

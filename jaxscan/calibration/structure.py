@@ -394,10 +394,15 @@ def _mean_residual(result: Adjustment) -> Float[np.ndarray, "views rows"]:
     parts: dict[str, Any] = {name: np.asarray(getattr(problem, name))[seen] for name in fields}
     some = replace(problem, **parts)
     here, total = corner_pixels(some), np.zeros(np.shape(problem.corner_q))
+    weight = np.asarray(some.corner_weight)[..., None]
     for shared, local in steps:
-        # Half the sum of second differences.
-        for sign in (1.0, -1.0):
-            total[seen] += 0.5 * (corner_pixels(move(Unknowns(sign * shared, sign * local), some)) - here)
+        back, forth = (corner_pixels(move(Unknowns(sign * shared, sign * local), some)) for sign in (-1.0, 1.0))
+        bend = 0.5 * (back + forth) - here
+        if np.any(shared):
+            # Where two lenses that are alike meet, the first order lets a step go anywhere: there the bend itself, at
+            # one standard deviation of all corners, is what ends it.
+            bend = bend / max(float(np.linalg.norm(bend * weight)), 1.0)
+        total[seen] += bend
     return total.reshape(len(total), -1)
 
 

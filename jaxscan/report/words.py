@@ -142,7 +142,15 @@ def good_to_words(good_to: GoodTo) -> str:
             return f"{millimetres(good_to.sigma_mm)} at {metres(good_to.at_m)}"
         article = "a " if good_to.length_m >= _WALL_M else ""
         return f"{millimetres(good_to.sigma_mm)} for {article}{length_words('wall', good_to.length_m, good_to.at_m)}"
-    return "an unknown size" if good_to.sigma_px is None else f"{pixels(good_to.sigma_px)} over the image"
+    return (
+        "an unknown size" if good_to.sigma_px is None else f"{pixels(good_to.sigma_px)} over the image{_edge(good_to)}"
+    )
+
+
+def _edge(good_to: GoodTo) -> str:
+    """Where rays were not judged; "" where all of the image was."""
+    edge = good_to.edge_deg
+    return "" if edge is None else f" (beyond {edge:.0f} degrees from the optical axis nothing is judged)"
 
 
 def _parts(quality: Quality, good_to: GoodTo) -> str:
@@ -187,7 +195,7 @@ def _explanation(calibration: Calibration, good_to: GoodTo) -> str:
     if halved := _halved(calibration, good_to):
         sentences.append(halved)
     if good_to.sigma_mm is not None and good_to.sigma_px is not None:
-        sentences.append(f"Its rays are good to {pixels(good_to.sigma_px)}.")
+        sentences.append(f"Its rays are good to {pixels(good_to.sigma_px)}{_edge(good_to)}.")
     motion = None if calibration.scanner is None else calibration.scanner.turntable
     if isinstance(motion, Hand):
         place, angle = (float(one) for one in motion.scatter)

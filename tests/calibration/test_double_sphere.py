@@ -9,6 +9,7 @@ import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
 from jaxscan.calibration.first_values import seed_camera
+from jaxscan.calibration.other_lens import ray_difference
 from jaxscan.calibration.problem import prepare
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import export_camera, load_calibration, save_calibration
@@ -77,6 +78,20 @@ def test_the_other_of_two_similar_lenses_is_told_apart(world):
     camera = calibrate_camera(observed, settings=SETTINGS).camera
     # Sigma of xi is 0.005.
     assert float(camera.distortion[0]) == pytest.approx(0.29, abs=0.02)
+
+
+def test_where_two_similar_lenses_meet_the_lens_is_no_worse(world):
+    """Focal length, xi and alpha may go anywhere together there, to first order, and rays stay where they are."""
+    rig = world.Rig(focal=(227.1, 227.1), centre=(479.5, 299.5), lens=(-0.0008, 0.6322), size=(960, 600))
+    # About half of the draws end between the two lenses; this one does.
+    seen = world.with_noise(world.observe(rig, free=16, placements=0, stripes=False, seed=10), 4)
+    free = tuple(block for block in SETTINGS.free if block != "shape")
+    found = calibrate_camera(seen, settings=CalibrationSettings(camera="double_sphere", free=free, choose_lens=False))
+    assert found.covariance[4, 4] > 0.5**2
+    verdict = found.quality.verdict
+    assert verdict.usable and verdict.result(verdict.tests[0]) == "passes"
+    true = DoubleSphere(227.1, 227.1, 479.5, 299.5, np.array(rig.lens), width=960, height=600)
+    assert 0.3 * verdict.good_to.sigma_px < ray_difference(true, found.camera) < 3 * verdict.good_to.sigma_px
 
 
 def test_points_are_where_ray_and_sheet_meet(world, calibrated):

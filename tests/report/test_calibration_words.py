@@ -283,3 +283,5 @@ def test_sizes_have_two_digits(size, said):
 def test_many_pixels_are_written_without_an_exponent():
     assert words.good_to_words(GoodTo(sigma_px=134.9)) == "135 px over the image"
     assert words.good_to_words(GoodTo(sigma_px=0.7544)) == "0.75 px over the image"
+    edge = words.good_to_words(GoodTo(sigma_px=0.7544, edge_deg=90.0))
+    assert edge == "0.75 px over the image (beyond 90 degrees from the optical axis nothing is judged)"
