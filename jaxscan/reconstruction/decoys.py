@@ -17,7 +17,7 @@ is commoner than dark print, makes up to a fifth of a mono camera's stripes brig
 """
 
 import dataclasses
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -89,7 +89,7 @@ class Spacing(NamedTuple):
 
 
 def clearness(
-    stripes: Mapping[str, np.ndarray], sequences: list[Int[np.ndarray, " n"]], spacing: Spacing
+    stripes: Mapping[str, np.ndarray], sequences: Sequence[np.ndarray], spacing: Spacing
 ) -> Float[np.ndarray, "profiles lines 3"]:
     """Three measures of how clear a stripe is, 0 for none.
 
@@ -99,7 +99,7 @@ def clearness(
 
     Args:
         stripes: Fields u, amplitude and valid [profiles, lines].
-        sequences: Profiles that follow each other as neighbours.
+        sequences: Numbers of profiles that follow each other as neighbours, int [n] of each sequence.
         spacing: How far a stripe may move between two of them.
     """
     u, valid, amplitude = (np.asarray(stripes[name]) for name in ("u", "valid", "amplitude"))

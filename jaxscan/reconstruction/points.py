@@ -2,7 +2,7 @@
 
 import functools
 from collections.abc import Callable
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import equinox as eqx
 import jax
@@ -110,7 +110,7 @@ def _numerators(scanner: Scanner, laser: int, q: np.ndarray) -> np.ndarray:
         whole = np.zeros(len(covariance))
         whole[matter] = _STEP * step
         forth, back = (rig.retract(sign * whole) for sign in (1.0, -1.0))
-        change_d = float(forth.laser(laser).distance - back.laser(laser).distance)
+        change_d: Any = float(forth.laser(laser).distance - back.laser(laser).distance)
         change_m = lit_points(forth, q, laser)[1] - lit_points(back, q, laser)[1]
         if ray is not None:
             # The first three of a twist move the camera in its own frame.

@@ -65,7 +65,7 @@ _LINES = 128
 
 def on_image_lines(
     measured: FrameStripes, number: Int8[Array, "frames lines"] | None, sites: Sites, image_lines: int, *, several: bool
-) -> tuple[FrameStripes, Int8[Array, "frames lines"] | None]:
+) -> tuple[FrameStripes, Int8[Array, "frames image_lines"] | None]:
     """The chosen stripes, or all candidates, on the lines of the image; pure and traceable.
 
     Args:
