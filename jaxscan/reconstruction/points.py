@@ -112,10 +112,9 @@ def _numerators(scanner: Scanner, laser: int, q: np.ndarray) -> np.ndarray:
         forth, back = (rig.retract(sign * whole) for sign in (1.0, -1.0))
         change_d: Any = float(forth.laser(laser).distance - back.laser(laser).distance)
         change_m = lit_points(forth, q, laser)[1] - lit_points(back, q, laser)[1]
-        if ray is not None:
-            # The first three of a twist move the camera in its own frame.
-            change_d = change_d + m * (ray @ (2.0 * whole[layout.turntable][:3]))
-        variance += ((m * change_d - d * change_m) / (2.0 * _STEP)) ** 2
+        # The first three of a twist move the camera in its own frame.
+        along = 0.0 if ray is None else ray @ (2.0 * whole[layout.turntable][:3])
+        variance += ((m * (change_d + m * along) - d * change_m) / (2.0 * _STEP)) ** 2
     return np.sqrt(variance)
 
 

@@ -94,9 +94,9 @@ def test_two_captures_keep_their_own_poses(seen):
     corners = observed.corners
     two = []
     for half in (slice(0, 10), slice(10, 24)):
-        poses = np.asarray(observed.poses)[half]
-        two.append(SimpleNamespace(image_size=(observed.width, observed.height), lasers=(), up="-v", carries="poses"))
-        two[-1].poses = poses
+        about = dict.fromkeys(("path", "records", "pixel_format", "response", "bits", "compression", "frames"), len)
+        size, poses = (observed.width, observed.height), np.asarray(observed.poses)[half]
+        two.append(SimpleNamespace(**about, image_size=size, lasers=(), up="-v", carries="poses", poses=poses))
     views = []
     for at in reversed(range(24)):
         capture, own = (0, at) if at < 10 else (1, at - 10)
