@@ -79,7 +79,7 @@ class RealSet(NamedTuple):
     camera: tuple[float, ...] = ()
     """The camera that the authors calibrated elsewhere: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     inner_m: float = 0.0
-    """Of a sweep: radius of the part of the table that is covered [m]."""
+    """For a sweep: radius within which the object covers the table [m]."""
 
 
 NONE = "no licence stated: measured only"

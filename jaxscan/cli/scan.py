@@ -106,7 +106,8 @@ def scan(
             controller = opened.enter_context(open_controller(rig.controller, rig.microsteps_per_turn, port=port))
             camera = opened.enter_context(open_camera(rig.camera, out.print))
             opened.callback(in_use.closing)
-            # Handled from here on: before, the program may wait for a camera and would not react to it.
+            # Ctrl-C ends the scan after the current step only from here on: before, the program may be waiting for a
+            # camera.
             interrupts = opened.enter_context(Interrupts())
             devices = Devices(controller, camera)
             if boards:

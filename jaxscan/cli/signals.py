@@ -2,7 +2,7 @@
 
 Unwinding by KeyboardInterrupt does not do that: compiled code does not notice it, imports and libraries swallow it or
 answer with tracebacks, and threads of XLA crash while the interpreter ends. So the process ends where it is, after its
-partial files are removed. Only a rig in use is left by unwinding, for its laser goes off first.
+partial files are removed. Only a rig in use is left by unwinding, so that its laser is switched off first.
 
 Imports nothing that has to be loaded, because a signal may come while the interpreter starts.
 """

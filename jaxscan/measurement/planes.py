@@ -52,7 +52,7 @@ def weighted_plane(p: np.ndarray, weight: np.ndarray) -> Plane:
 
 
 def fitted_plane(samples: Samples, normal: np.ndarray) -> Plane:
-    """Plane through points whose noise lies along their rays; `normal` is about its own.
+    """Plane through points whose noise lies along their rays; `normal` is an approximate normal of the plane.
 
     Neighbours that were smoothed share their noise: weights are those of the rows, and the covariance counts
     the noise that points share, scaled by the misfit where it is larger than their sigmas predict.
@@ -87,7 +87,7 @@ class PlaneMeasurement:
     centre_m: np.ndarray
     rms_m: float
     range95_m: float
-    """Width of the band with the middle 95 % of those distances [m]."""
+    """Width of the band that holds the middle 95 % of the distances from the plane [m]."""
     points: int
 
     def words(self) -> str:

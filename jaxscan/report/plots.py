@@ -158,7 +158,7 @@ def stripe_direction(observations: Observations) -> int:
 
 
 def turned_views(observations: Observations) -> np.ndarray:
-    """Whether a view has the placement of a view at another table angle [views]."""
+    """Whether the placement of a view was seen at more than one table angle [views]."""
     placement, angle = np.asarray(observations.corners.placement), np.asarray(observations.corners.angle)
     return np.array([np.ptp(angle[placement == number]) > 0 for number in placement], bool)
 
@@ -417,7 +417,7 @@ def _plain_ticks(axis: Any) -> None:
 
 # The longest arrow, in squares.
 _LONGEST = 0.9
-# A colour is full at so many standard deviations or more, so that noise is pale.
+# The colour scale spans at least this many standard deviations, so that noise stays pale.
 _SIGMAS = 3.0
 # Up to this height numbers are in micrometres [mm].
 _SMALL_MM = 0.02

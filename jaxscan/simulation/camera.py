@@ -57,7 +57,7 @@ def gaussian(shape: tuple[int, ...], rng: np.random.Generator) -> np.ndarray:
     cell = rng.bit_generator.random_raw(-(-count // 4)).view(np.uint16)[:count]
     # Every number of 16 bits is a place in the table: nothing is clipped, and nothing has to be tested.
     noise = _table().take(cell, mode="clip")
-    # In 16 bits, what is beyond one end comes round to the other.
+    # Addition of 16 bits wraps around, so one comparison finds the cells at both ends.
     outer = np.flatnonzero(cell + np.uint16(_TAIL) < np.uint16(2 * _TAIL))
     beyond = _deviation(np.log(1 - rng.random(len(outer))) + np.log(_TAIL / _CELLS))
     noise[outer] = np.where(cell[outer] < _TAIL, -beyond, beyond)
@@ -72,14 +72,14 @@ def _table() -> np.ndarray:
 
 
 def _deviation(log_share: np.ndarray) -> np.ndarray:
-    """How far out lies the number beyond which is a share of the law, from the share's logarithm, 1/2 at the most."""
+    """Upper quantile of the normal distribution: the x with log P(X > x) as given, for P up to 1/2."""
     log_beyond, deviation = _tail()
     return np.interp(log_share, log_beyond, deviation)
 
 
 @lru_cache(maxsize=1)
 def _tail() -> tuple[np.ndarray, np.ndarray]:
-    """Logarithm of the share of the law beyond even steps from 0, ascending, and the steps."""
+    """log P(X > x) on an even grid of x from 0, ascending; and the x."""
     # Beyond 12 standard deviations lies 1e-33 of the law, far less than one step of the generator.
     deviation, step = np.linspace(12, 0, 24001, retstep=True)
     density = np.exp(-0.5 * deviation**2)
@@ -204,7 +204,7 @@ class Blur(NamedTuple):
         return self.widths[-1]
 
     def shares(self) -> list[np.ndarray | None]:
-        """Share of each width in every pixel; None for the whole."""
+        """Weight of each width in every pixel; None where the only width has all of it."""
         if self.place is None:
             return [None]
         return [np.maximum(1 - np.abs(self.place - np.float32(k)), 0) for k in range(len(self.widths))]
@@ -240,7 +240,7 @@ def lens_blur(config: SimulationConfig, depth: np.ndarray) -> Blur:
         config: The camera.
         depth: Depth at pixel centres, float32 [height, width]; inf where nothing is.
 
-    No blur is wider than any that `psf_px` may be: the time and memory of rendering grow with it.
+    The blur is limited to the largest allowed `psf_px`, since time and memory grow with it.
     """
     sensor = config.sensor
     if sensor.psf_edge == 0 and sensor.defocus_px_m == 0:
@@ -271,7 +271,8 @@ def _radius2(camera: CameraSpec) -> np.ndarray:
 
 
 def dimmed(values: np.ndarray, shade: np.ndarray | None, index: Sequence[np.ndarray] = ()) -> np.ndarray:
-    """Light behind the lens, from light before it; `index` names the pixels of `values` where these are listed."""
+    """Light after vignetting. Where `values` are listed pixels and not an image, `index` holds their rows and
+    columns."""
     if shade is None:
         return values
     return values * (shade[tuple(index)][:, None] if index else shade)
@@ -348,9 +349,8 @@ def _splat(
     weights_u: np.ndarray,
     shape: tuple[int, int],
 ) -> np.ndarray:
-    """As `splat`, of light [pixels, samples_v, samples_u]: spread along u sample by sample, then along v as pictures.
-
-    Only of those rows and columns that are lit.
+    """As `splat`, of light [pixels, samples_v, samples_u]: spread along u for each listed pixel, then along v as whole
+    images, over the lit rows and columns only.
     """
     reach_v, reach_u = len(weights_v) // 2, len(weights_u) // 2
     top, left = int(rows.min()), int(columns.min())
@@ -429,7 +429,7 @@ def _passes(psf_px: float) -> tuple[int, np.float32]:
 
 
 def _binomial(image: np.ndarray, a: np.float32) -> np.ndarray:
-    """(a, 1 - 2a, a) down the columns; beyond the border stands the border."""
+    """(a, 1 - 2a, a) down the columns; border pixels are repeated beyond the border."""
     out, aside = image * (1 - 2 * a), image * a
     out[..., 1:, :] += aside[..., :-1, :]
     out[..., :-1, :] += aside[..., 1:, :]

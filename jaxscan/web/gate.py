@@ -92,7 +92,7 @@ class Gate:
         return _same(request.query.get("token", ""), self._address.token)
 
     def _led_here(self, request: web.Request) -> bool:
-        """Whether another site asks, as the file is one with which a browser is opened."""
+        """Whether the request comes from another site; the local file that opens the browser counts as one."""
         return request.headers.get("Sec-Fetch-Site", "none") not in _OWN_SITES
 
     def _visit(self, request: web.Request, known: bool) -> web.Response:
@@ -104,7 +104,8 @@ class Gate:
         rest = urlencode([(name, value) for name, value in request.query.items() if name != "token"])
         where = "/" + (f"?{rest}" if rest else "")
         if self._led_here(request):
-            # A browser that another site led here sends no cookie where it is sent on; a page of ours leads it on.
+            # After a redirect that began on another site browsers send no strict cookie; so a page of ours forwards the
+            # visitor.
             leads = f'<!doctype html><meta http-equiv="refresh" content="0; url={escape(where)}">\n'
             response = web.Response(text=leads, content_type="text/html", charset="utf-8")
         else:

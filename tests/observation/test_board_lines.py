@@ -24,7 +24,7 @@ class Record:
 class Source:
     path, records, pixel_format, response, image_size = "boards", (), "mono8", "linear", (480, 384)
     compression = None
-    lasers, up, carries = (LaserLine(colour="red"),), "-v", None
+    lasers, up, carries, poses = (LaserLine(colour="red"),), "-v", None, None
 
     def __init__(self, bits=8):
         self.bits = bits

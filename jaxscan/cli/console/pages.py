@@ -102,7 +102,7 @@ class Roles:
     _there: list[str] = field(default_factory=list)
 
     def join(self, name: str, now: float) -> None:
-        """A page came; it operates if the one that did is not there, nor likely to come back."""
+        """A page came; it operates if there is no operating page, and none that may soon come back from a reload."""
         self._there.append(name)
         if self.operator not in self._there and (self.lost_since is None or self.lost_for(now) > GRACE_S):
             self.operator = name
@@ -126,7 +126,7 @@ class Roles:
 
 MOST_PAGES = 12
 _HEARTBEAT_S = 4.0
-"""A page that does not answer for half as long is lost."""
+"""Time between pings [s]; a page that does not answer within half of it counts as lost."""
 _BETWEEN_S = 0.1
 _GREET_S = 5.0
 PICTURE, CLOUD = 1, 2

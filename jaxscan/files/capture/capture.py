@@ -76,7 +76,7 @@ class Capture:
 
     @property
     def compression(self) -> str | None:
-        """The lossy compression of the images; files with the name of a JPEG are such, whatever the header says."""
+        """The lossy compression of the images: as the header says, else "jpeg" by the first image's name."""
         return _compression(self.header, self.records)
 
     @property
@@ -360,7 +360,7 @@ def refuse_copies(captures: Sequence[Capture]) -> None:
 def _are_copies(one: Capture, other: Capture) -> bool:
     """Whether two captures hold the same images, under two names or as copies.
 
-    Equal texts do not suffice: of two captures written by hand, only the images may differ.
+    Equal header and journal are not enough: two captures written by hand may differ in their images alone.
     """
     if one.path.samefile(other.path):
         return True

@@ -62,7 +62,8 @@ def learn_noise(
 
 
 def shared_by_profiles(whitened: Float[np.ndarray, " points"], grid: Int[np.ndarray, "points 4"]) -> float:
-    """Factor of the variance of slow sums of errors that neighbouring profiles share in part [1]; at least 1.
+    """Factor by which the variance of a sum over neighbouring profiles exceeds that of independent errors [1]; at least
+    1.
 
     Along the line points are so far apart that their errors are independent. From profile to profile speckle and the
     paint of a wall change little where steps are small. The factor is 1 + 2 sum of r_i r_j / sum of r_i^2 over the

@@ -53,7 +53,8 @@ def frame_rank(pixel_format: PixelFormat) -> int:
 
 
 def check_frames(on: Array, off: Array | None, pixel_format: PixelFormat, *, exposures: int = 1) -> None:
-    """Refuse arrays that are not stacks of frames of this format, with a second axis where there are exposures.
+    """Refuse arrays that are not [frames, ...] of this format, or [frames, exposures, ...] where there are several
+    exposures.
 
     Raises:
         ValueError: If shapes or types do not fit the pixel format.
@@ -80,7 +81,8 @@ class Sites:
     first_line: int = 0
     line_step: int = 1
     offsets: tuple[int, ...] = (0,)
-    """Coordinate of a line's first sample [px], by the line's parity where there are two."""
+    """Coordinate of the first sample of a line [px]; of two values the first holds for even lines, the second for odd
+    ones."""
     pitch: int = 1
     """Distance between samples [px]."""
 
@@ -157,7 +159,7 @@ def decode_table(response: Response) -> tuple[Float[np.ndarray, "256"], Float[np
 
     Returns:
         level: Linear level [DN], 0 to 255.
-        slope: Linear DN per code, by which the rounding of the code grows.
+        slope: Derivative of the level by the code [DN/code]; it scales the rounding error of the code.
 
     Raises:
         ValueError: If the response is unknown.
