@@ -34,8 +34,8 @@ _MIN_COSINE = 0.1
 # Share of a view's corners that must be rays on one side of the camera: the rest may be wrong.
 _MIN_SHARE = 0.9
 # Boards whose normals differ by less show the camera one vanishing line: focal length and
-# principal point cannot be told apart.
-_MIN_TILT_DEG = 5.0
+# principal point cannot be told apart. The second is the tilt that users are asked for.
+_MIN_TILT_DEG, _TILTED_DEG = 5.0, 20.0
 # Stripe points reaching less far across than this share of their length are one line.
 _MIN_PLANE_SPREAD = 0.02
 
@@ -106,6 +106,11 @@ def check_tilts(poses: np.ndarray, *, determined: bool = True) -> None:
     """
     normals = poses[:, :3, 2]
     tilt = np.degrees(np.arccos(np.clip(normals @ normals.T, -1.0, 1.0))).max()
+    if not determined and tilt >= _TILTED_DEG:
+        raise CalibrationError(
+            f"No focal length explains all {len(poses)} views, whose tilts differ by up to {tilt:.0f} degrees: give a "
+            "known camera, or capture more views, with the board tilted by 20 to 45 degrees in different directions."
+        )
     if not determined or tilt < _MIN_TILT_DEG:
         raise CalibrationError(
             f"All {len(poses)} views show the board at the same tilt (within {tilt:.1f} degrees), which determines no "

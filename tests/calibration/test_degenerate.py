@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.calibration import CalibrationSettings, calibrate_camera, calibrate_observations
+from jaxscan.calibration.first_values import check_tilts
 from jaxscan.errors import CalibrationError
 
 
@@ -59,6 +60,14 @@ def test_views_at_the_same_tilt(world, observed, tilt):
     )
     stripes = replace(observed.stripes, view=np.zeros_like(observed.stripes.view))
     assert "same tilt" in refusal(replace(observed, corners=corners, stripes=stripes), calibrate_camera)
+
+
+def test_views_that_no_focal_length_explains_are_not_called_alike(world):
+    poses = np.tile(np.eye(4), (3, 1, 1))
+    poses[1, :3, :3] = world.rodrigues(np.radians([40.0, 0.0, 0.0]))
+    check_tilts(poses)
+    with pytest.raises(CalibrationError, match="No focal length explains all 3 views, whose tilts differ by up to 40"):
+        check_tilts(poses, determined=False)
 
 
 @pytest.mark.parametrize(("largest", "usable"), [(3.0, False), (25.0, True)])
