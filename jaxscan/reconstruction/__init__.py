@@ -18,7 +18,6 @@ if TYPE_CHECKING:
         some_points,
         stack_placed,
     )
-    from jaxscan.reconstruction.decoys import Decoys
     from jaxscan.reconstruction.doubts import journal_doubts, pair_notes, profile_doubts, sweep_doubts
     from jaxscan.reconstruction.extraction import (
         Extraction,
@@ -28,6 +27,7 @@ if TYPE_CHECKING:
         extract_part,
         join_parts,
     )
+    from jaxscan.reconstruction.false_stripes import Decoys
     from jaxscan.reconstruction.kept import extraction_key, kept_arrays, usable_stripes
     from jaxscan.reconstruction.live import IncomingStripes, PlannedSweep, RecordedPair, Show
     from jaxscan.reconstruction.motion import cloud_points, refuse_other_motion

@@ -17,7 +17,7 @@ from jaxscan.geometry import Array, Scanner
 from jaxscan.reconstruction.ahead import Progress, map_ahead, workers
 from jaxscan.reconstruction.along import SmoothedSweep
 from jaxscan.reconstruction.colours import stripe_colours
-from jaxscan.reconstruction.decoys import Decoys, DecoyWatch, judge_sweep
+from jaxscan.reconstruction.false_stripes import Decoys, DecoyWatch, judge_sweep
 from jaxscan.reconstruction.plan import Plan, plan_sweep
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches, colour_exposure, place, rows_of

@@ -7,7 +7,7 @@ import pytest
 
 from jaxscan.errors import CaptureError
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract
-from jaxscan.reconstruction.decoys import Decoys, DecoyWatch, Spacing, clearness, judge, judge_sweep
+from jaxscan.reconstruction.false_stripes import Decoys, DecoyWatch, Spacing, clearness, judge, judge_sweep
 from jaxscan.reconstruction.plan import plan_sweep
 from jaxscan.reconstruction.sweep import Batch
 from jaxscan.stripes import ChunkStripes, FrameStripes
@@ -187,7 +187,7 @@ def test_profiles_are_compared_where_the_room_has_moved_on(step_deg, every):
     assert Spacing.of(_plan(60, step_deg=step_deg)).every == every
 
 
-def test_decoys_are_the_same_in_batches_of_any_size():
+def test_false_stripes_are_the_same_in_batches_of_any_size():
     rng, records = np.random.default_rng(5), 40
     on, off = rng.integers(1, 20, (2, records, LINES, 4)).astype(np.uint8)
 
@@ -250,7 +250,7 @@ def test_a_small_object_keeps_its_stripes_beside_a_clear_decoy(decoys):
 
 
 @pytest.mark.parametrize(("lit", "others"), [(2000, 600), (900, 2500), (100, 3000)])
-def test_decoys_raise_the_threshold(lit, others):
+def test_false_stripes_raise_the_threshold(lit, others):
     """However few the lit lines are: the others are left out."""
     rng = np.random.default_rng(1)
     true, chance, decoys = _lit(rng, lit), _by_chance(rng, others), _by_chance(rng, others)
