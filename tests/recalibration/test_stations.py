@@ -1,7 +1,6 @@
 """First poses of stations: rooms of boxes whose stripes are exact, seen from known places."""
 
 from dataclasses import replace
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -10,6 +9,7 @@ from jaxscan.api import recalibration as module
 from jaxscan.api.stages import Stage, Stages
 from jaxscan.calibration import Calibration
 from jaxscan.errors import CalibrationError, GivenError
+from jaxscan.files.capture import Capture
 from jaxscan.recalibration import RecalibrationSettings, SweepStripes, Tracks, register
 from jaxscan.recalibration.stations import place_stations
 from jaxscan.simulation import Motion, distort, make_rig, true_scanner
@@ -125,9 +125,18 @@ def test_targets_by_name_place_a_station(empty, marks):
         place_stations(empty[0], SCANNER, tracks=marks._replace(name=()))
 
 
+class UnreadCapture(Capture):
+    """A capture whose images nobody reads."""
+
+    image_size, journal = (640, 512), ()
+
+    def __init__(self):
+        pass
+
+
 def test_targets_are_looked_for_where_walls_leave_a_station_open(empty, marks, monkeypatch):
     """What is looked at is exact; all that follows from it is done as `jaxscan register` does it."""
-    known, captures = calibration(), [SimpleNamespace(image_size=(640, 512), journal=()) for _ in empty[0]]
+    known, captures = calibration(), [UnreadCapture() for _ in empty[0]]
     asked = []
     monkeypatch.setattr(module, "with_stops", lambda settings, captures: settings)
     monkeypatch.setattr(module, "_check_captures", lambda *_: None)
