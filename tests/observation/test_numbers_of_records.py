@@ -13,7 +13,9 @@ def test_a_number_beyond_32_bits_is_kept():
     corners = FoundCorners(np.zeros((9, 2)), np.ones(9), np.ones(9, bool))
     numbers = [3_000_000_000, (1 << 53) - 1]
     records = [
-        SimpleNamespace(record=SimpleNamespace(i=i, angle=0.0), corners=corners, placement=None, stripes=(), laser=0)
+        SimpleNamespace(
+            record=SimpleNamespace(i=i, angle=0.0), corners=corners, placement=None, stripes=(), laser=0, capture=0
+        )
         for i in numbers
     ]
     look = SimpleNamespace(board=board, records=records)
