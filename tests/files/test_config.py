@@ -60,6 +60,10 @@ def test_a_good_file(load):
     [
         ("widht = 3", 'widht: unknown key; the closest known one is "width".'),
         ('width = "3"', 'width: found "3", expected a valid integer.'),
+        (
+            '[[parts]]\nname="a"\nshape={type="round", radius=2}\n"two\\nlines" = 1',
+            'parts[0]."two\\nlines": unknown key; known here: name, shape.',
+        ),
         ('[extra]\nname = "a"\nshape = {}', "extra.shape.type: missing."),
         ('[extra]\nname = "a"\nshape = {type = "oval"}', 'extra.shape.type: found "oval", expected "round", "square".'),
         (

@@ -99,8 +99,9 @@ def _key_path(data: Any, location: tuple[Any, ...], *, missing: bool) -> str:
 
 
 def _join(path: str, key: str) -> str:
-    # A key of an untrusted file may be of any length.
+    # A key of an untrusted file may be of any length, and hold line breaks.
     key = key if len(key) <= 60 else key[:57] + "..."
+    key = key if key.isprintable() else json.dumps(key)
     return f"{path}.{key}" if path else key
 
 
