@@ -158,8 +158,6 @@ def claimed(project: Project, named: Path | None = None) -> Iterator[None]:
             another batch is at work, or it cannot be written.
     """
     output = project.output
-    if not str(output).isprintable():
-        raise ConfigError(f"{project.file}: output: found control characters in it, expected the name of a folder.")
     _check_outside(project, named)
     with reported(f"{output}: cannot be written", error=ConfigError):
         make_folder(output)
