@@ -7,7 +7,7 @@ $$T = g^T V^{-1} g, \qquad V = E^T E - E^T J (J^T J)^{-1} J^T E$$
 
 is chi-squared with as many degrees of freedom as terms that the unknowns cannot imitate. Nothing is solved again.
 
-The harm is told as steps of the parameters, like standard deviations along independent directions: $\sum_k s_k s_k^T$
+The harm is given as steps of the parameters, like standard deviations along independent directions: $\sum_k s_k s_k^T$
 is added to their covariance. With the sizes $-m$ of the missing terms the shared unknowns are off by
 $\delta = (J^T J)^{-1} J^T E m$ ("imitation"), and the missing shape itself remains beside it. Of lens and sheet the two
 are added first, since they cancel in part; the shape that their parameters can follow becomes a step of these, and the
@@ -136,8 +136,8 @@ def find_harm(result: Adjustment, settings: CalibrationSettings, given: Observat
         # Boards that bend do more harm to a part of the records than to all: it says nothing about the whole.
         beyond = fails(test) and "paper" not in missing
         steps = split.beyond(before.T @ before, scales)[None] if beyond else none
-        told = test.name != "regions" or not len(steps) or beyond_noise(result, split, steps)
-        found.append(Harm(test, steps if told else none))
+        counts = test.name != "regions" or not len(steps) or beyond_noise(result, split, steps)
+        found.append(Harm(test, steps if counts else none))
     lines = put_back_lines(result, given) if len(result.problem.lasers.distance) else []
     return [*found, Harm(_lines_test(result, lines), np.stack(lines))] if lines else found
 

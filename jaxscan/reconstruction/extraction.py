@@ -196,13 +196,13 @@ def join_parts(plan: Plan, parts: Sequence[StripePart]) -> Extraction:
     fields = {name: np.asarray(_joined([part.fields[name] for part in parts])) for name in parts[0].fields}
     decoys, notes = Decoys.joined([part.decoys for part in parts]), parts[0].notes
     if len(decoys.profile) and len(fields["u"]) == len(sweep.record):
-        chance, believed = judge_sweep(plan, fields, decoys)
+        chance, accepted = judge_sweep(plan, fields, decoys)
         notes = (*notes, *([chance.note] if chance.note else []))
         if chance.least > 0.0:
             # The parts are the caller's.
             fields = {name: field.copy() for name, field in fields.items()}
             for field in fields.values():
-                field[~believed] = 0
+                field[~accepted] = 0
     profile = np.arange(len(fields["u"])) // (len(fields["u"]) // len(sweep.record))
     stripes = Stripes(**fields, record=sweep.record[profile], laser=sweep.laser[profile])
     return Extraction(stripes, notes, parts[0].noise)

@@ -60,7 +60,7 @@ class Chance:
     """The verdict of the decoys on the stripes of a sweep."""
 
     least: float = 0.0
-    """Smallest clearness (`clearness`) of a stripe that is believed; 0 for all."""
+    """Smallest clearness (`clearness`) of a stripe that is accepted; 0 for all."""
     measure: int = 0
     """Which of the three."""
     note: str | None = None
@@ -220,7 +220,7 @@ class DecoyWatch:
 
 
 def judge_sweep(plan: Plan, stripes: Mapping[str, np.ndarray], decoys: Decoys) -> tuple[Chance, np.ndarray]:
-    """The verdict on a sweep, and which of its stripes are believed.
+    """The verdict on a sweep, and which of its stripes are accepted.
 
     Args:
         plan: Of the whole sweep.
@@ -244,10 +244,10 @@ def judge_sweep(plan: Plan, stripes: Mapping[str, np.ndarray], decoys: Decoys) -
         return chance, valid
     own = [np.flatnonzero(laser == one) for one in np.unique(laser)]
     sequences = [one[start :: spacing.every] for one in own for start in range(min(spacing.every, len(one)))]
-    believed = clearness(stripes, sequences, spacing)[..., chance.measure] >= np.float32(chance.least)
-    if np.count_nonzero(believed) < _PER_PROFILE * len(valid):
+    accepted = clearness(stripes, sequences, spacing)[..., chance.measure] >= np.float32(chance.least)
+    if np.count_nonzero(accepted) < _PER_PROFILE * len(valid):
         chance = dataclasses.replace(chance, note=_FEW)
-    return chance, believed
+    return chance, accepted
 
 
 _FEW = "the sweep is doubtful: hardly any record shows a stripe, and chance may have found those"
@@ -302,7 +302,7 @@ def judge(
         per_profile: Stripes of a profile, on average over the whole sweep.
 
     Raises:
-        CaptureError: If the stripes are not told from those of chance.
+        CaptureError: If the stripes cannot be told from those of chance.
     """
     contests = [_Contest.of(stripes[..., k], decoys[..., k]) for k in range(stripes.shape[-1])]
     total, chance = len(contests[0].stripes), float(min(one.chance for one in contests))

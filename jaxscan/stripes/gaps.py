@@ -28,7 +28,7 @@ _LINES = 12
 _STEEPEST = 1.0
 """Largest slope of the stripe over a gap [px per line]; errors of both ends come to it."""
 _REACH_PX = 1.5
-"""Distance from the line between both ends within which the stripe is believed, and by which the ends may err [px]."""
+"""Distance from the line between both ends within which a stripe is accepted, and by which the ends may err [px]."""
 
 
 class Gaps(NamedTuple):

@@ -114,7 +114,7 @@ def scatter_law(rows: ProfileRows, line_step: int = 1) -> ScatterLaw:
     for k = 2 over its promised standard deviation, in classes of amplitude, is the scale; where second differences
     spread less, as between many edges, those count. A difference far beyond the others' spread is an edge, and left
     out. Rows that are alike cancel in differences: where there are such rows, `_learned` says what they all err by.
-    Neither is believed to be good news: a scale below 1 is 1, a correlation below 0 is 0.
+    Both are clamped: a scale below 1 is 1, a correlation below 0 is 0.
 
     A row whose sigma is far over that of others as bright doubts its centre: an edge of the paint may lie under the
     stripe. Where such rows scatter less than they promise, they err together.
