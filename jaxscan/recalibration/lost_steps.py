@@ -2,7 +2,8 @@
 
 With the right angles points lie on few walls. Walls are flat patches of the grid [profile, line], found with a
 tolerance that a lost step does not break; their points give equations for the angles of the records, in which a step
-stands out.
+stands out. A large one breaks walls, and is proposed by the turn between the normals before and behind a place too:
+only both together find several large steps.
 """
 
 from collections.abc import Sequence
@@ -503,21 +504,27 @@ PLAIN_BREAK = np.deg2rad(1.0)
 
 
 def find_steps(sweep: SweepStripes, start: Rig) -> Rig:
-    """The rig with the steps that its walls show, one after another: those that bend walls, then those that break them.
-
-    Beside a robust fit a large step looks like furniture; without one it stands out.
-    """
+    """The rig with the steps that its walls show, one after another: those that break walls, then the small ones."""
     rig = iterate_fit(sweep, start, 3)
+    vain: list[int] = []
     while len(rig.steps) < MOST_JUMPS:
-        for robust in (True, False):
-            place = _stands_out(sweep, rig, robust)
-            tried = rig if place is None else _with_step(sweep, start, rig, place)
-            plain = robust and tried is not rig and abs(tried.steps[-1][1]) <= PLAIN_BREAK
-            if plain or (tried is not rig and _brings_points(sweep, rig, tried)):
-                rig = tried
-                break
-        else:
+        # A large step divides walls, and no linear equation tells its size: breaks are tried one by one.
+        known = [*vain, *(record for record, _ in rig.steps)]
+        breaks = [place for place in propose_steps(sweep, rig) if _is_far(place[0], known)]
+        found = _best(sweep, rig, [_with_step(sweep, start, rig, place) for place in breaks])
+        if found is None:
+            vain += [record for record, _ in breaks]
+            small = _stands_out(sweep, rig, robust=True)
+            found = None if small is None else _with_step(sweep, start, rig, small)
+            if found is not None and abs(found.steps[-1][1]) > PLAIN_BREAK:
+                found = _best(sweep, rig, [found])
+        if found is None:
+            large = _stands_out(sweep, rig, robust=False)
+            found = None if large is None else _best(sweep, rig, [_with_step(sweep, start, rig, large)])
+        if found is None:
             break
+        # With one step known, a break that was rejected before may be accepted.
+        rig, vain = found, []
     return iterate_fit(sweep, _begin(start, rig.steps), LAST_TIMES, MANY_POINTS) if rig.steps else rig
 
 
@@ -539,6 +546,10 @@ def _begin(start: Rig, steps: tuple[tuple[int, float], ...]) -> Rig:
     for record, size in steps:
         theta[record:] += size
     return start._replace(theta=theta, steps=steps)
+
+
+def _is_far(record: int, others: list[int]) -> bool:
+    return all(abs(record - other) > NEIGHBOURS for other in others)
 
 
 def _stands_out(sweep: SweepStripes, rig: Rig, robust: bool) -> tuple[int, float] | None:
@@ -567,12 +578,14 @@ def _with_step(sweep: SweepStripes, start: Rig, rig: Rig, place: tuple[int, floa
     return more._replace(theta=theta, steps=steps)
 
 
-def _brings_points(sweep: SweepStripes, rig: Rig, tried: Rig) -> bool:
-    """Whether one more step of a possible size brings clearly more points to walls."""
-    if abs(tried.steps[-1][1]) >= MOST_STEP:
-        return False
+def _best(sweep: SweepStripes, rig: Rig, tried: list[Rig]) -> Rig | None:
+    """Of rigs with one more step the one that brings the most points to walls, if clearly more than without it."""
+    if not tried:
+        return None
     before, points = truncated_cost(sweep, rig)
-    return before - truncated_cost(sweep, tried)[0] > LEAST_GAIN * points
+    costs = [truncated_cost(sweep, one)[0] if abs(one.steps[-1][1]) < MOST_STEP else np.inf for one in tried]
+    best = int(np.argmin(costs))
+    return tried[best] if before - costs[best] > LEAST_GAIN * points else None
 
 
 def inflation(rows: Equations, left: Float[np.ndarray, " rows"], records: int) -> float:
@@ -596,6 +609,63 @@ def inflation(rows: Equations, left: Float[np.ndarray, " rows"], records: int) -
         difference = np.diff(angle)[pairs] / np.sqrt(1.0 / known[1:][pairs] + 1.0 / known[:-1][pairs])
         worst = max(worst, MEDIAN_TO_SIGMA * float(np.median(np.abs(difference))))
     return worst
+
+
+LEAST_BREAK = np.deg2rad(0.35)
+"""Smaller breaks are lost in the noise of normals, and found by their least squares."""
+BREAK_TILT = np.deg2rad(1.5)
+"""Difference of the tilts of the parts of a wall before and behind a break, at most."""
+LEAST_LINES = 5
+"""On which the wall is seen on both sides."""
+APART, MOST_BREAKS = 6, 3
+"""Cells between two breaks that are proposed, and how many are."""
+
+
+def propose_steps(sweep: SweepStripes, rig: Rig) -> list[tuple[int, float]]:
+    """Records at which walls break by a turn about the axis, and that turn [rad], the largest first.
+
+    Normals before and behind a place are compared line by line, and their median is taken. The edge of a cupboard
+    breaks a wall too: every proposal has to be tried.
+    """
+    sample = take_sample(sweep, rig.scanner, PROFILES, PROFILES * LINES)
+    own = np.flatnonzero(sample.laser == sample.laser[0])
+    records, row = np.unique(sample.record[own], return_inverse=True)
+    if len(records) < 4 * HALF + 2:
+        return []
+    shape = (len(records), int(sample.column.max()) + 1)
+    x, noise, valid = np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape, bool)
+    cells = row, sample.column[own]
+    (x[cells], noise[cells]), valid[cells] = (field[own] for field in sample.turned(rig.theta)), True
+    size = _breaks(x, noise, valid)
+    found: list[tuple[int, float]] = []
+    left = np.abs(size)
+    while len(found) < MOST_BREAKS and left.max() > LEAST_BREAK:
+        cell = int(np.argmax(left))
+        found.append((int(records[cell]), float(size[cell])))
+        left[max(cell - APART, 0) : cell + APART + 1] = 0.0
+    return found
+
+
+def _breaks(x: np.ndarray, noise: np.ndarray, valid: np.ndarray) -> Float[np.ndarray, " profiles"]:
+    """The turn that makes one wall of its parts before each profile and from it on; 0 where there are none [rad]."""
+    normal, flat = flat_windows(x, noise, valid)
+    upright = np.hypot(normal[..., 0], normal[..., 1])
+    distance, size = np.sum(normal * x, axis=-1), np.linalg.norm(x, axis=-1)
+    # Windows end at the place, and begin at it.
+    first, second = np.s_[: -2 * HALF - 1], np.s_[2 * HALF + 1 :]
+    turned, tilt = fold(normal[first], normal[second])
+    same = (
+        flat[first]
+        & flat[second]
+        & (np.minimum(upright[first], upright[second]) > 0.5)
+        & (np.abs(turned) < FOLD)
+        & (np.abs(tilt) < BREAK_TILT)
+        & (np.abs(distance[first] - distance[second]) < SAME * np.maximum(size[first], size[second]))
+    )
+    breaks = np.zeros(len(flat))
+    for profile in np.flatnonzero(np.count_nonzero(same, axis=1) >= LEAST_LINES):
+        breaks[profile + HALF + 1] = np.median(turned[profile][same[profile]])
+    return breaks
 
 
 NEIGHBOURS = 10

@@ -12,8 +12,7 @@ from jaxscan.recalibration.adjust.prepare import prepare
 from jaxscan.recalibration.segment import observe_surfaces
 from jaxscan.recalibration.triangulate import triangulate_points
 from tests.recalibration import faces
-from tests.recalibration.boxes import pose
-from tests.recalibration.faces import X, Y
+from tests.recalibration.faces import X, Y, pose
 from tests.recalibration.linear_room import with_held
 from tests.recalibration.small_room import SIGMA, config, exact_sweep, observe, stored, truth_scanner, with_covariance
 
