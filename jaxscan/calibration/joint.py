@@ -100,7 +100,7 @@ class Joint(AbstractProblem):
 
 
 def priors(problem: Problem) -> Float[Array, " shared"]:
-    """Chains from the values expected before any image, in standard deviations."""
+    """Departures from the values expected before any image, in standard deviations."""
     return (shared_values(problem) - problem.expected) * problem.prior_weight
 
 
@@ -176,7 +176,7 @@ class Linearised:
 
     @cached_property
     def covariance(self) -> Covariance:
-        """Of all unknowns."""
+        """Covariance of all unknowns."""
         return covariance_of(self.arrow)
 
     @cached_property
@@ -211,7 +211,7 @@ def solve(problem: Problem, damping: float, tolerance: float, max_steps: int) ->
 
     Args:
         problem: With its weights.
-        damping: Of the first step, relative to the diagonal of J'J [1].
+        damping: Damping of the first step, relative to the diagonal of J'J [1].
         tolerance: Root mean square change of scaled unknowns and of whitened residuals at which
             to stop [1].
         max_steps: Linearisations at most, the first one included.

@@ -223,7 +223,7 @@ class AngleMeasurement:
 
 
 _LEAST_SINE = 0.02
-"""Of the angle between two normals that determine the edge in which their planes meet."""
+"""Least sine of the angle between two normals whose planes meet in an edge."""
 _SIGMAS, _ROUNDS = 3.0, 20
 """Points farther from the plane than so many robust standard deviations belong to something else, as a picture or a
 switch on the wall; rounds of leaving them out."""

@@ -145,7 +145,7 @@ class Equations(NamedTuple):
         return np.linalg.solve(n.T @ n + np.diag(weight), n.T @ self.error + weight * self.mean)
 
     def covariance(self) -> Float[np.ndarray, "unknowns unknowns"]:
-        """Of the unknowns."""
+        """Covariance of the unknowns."""
         normal = self.nuisance.T @ self.nuisance + np.diag(1.0 / self.sigma**2)
         scale = np.sqrt(np.diag(normal))
         return np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -157,7 +157,7 @@ class StepTest(NamedTuple):
     size: Float[np.ndarray, " records"]
     """Angle by which this and all later records stand ahead of their angle [rad]."""
     sigma: Float[np.ndarray, " records"]
-    """Its standard deviation; infinite where nothing tells it [rad]."""
+    """Its standard deviation; infinite where the data do not determine it [rad]."""
     left: Float[np.ndarray, " rows"]
 
 
@@ -189,7 +189,7 @@ def _backwards(values: np.ndarray, record: np.ndarray, records: int) -> np.ndarr
 
 
 PROFILES, LINES = 240, 30
-"""Of the grid of each laser on which patches are found."""
+"""Size of the grid of each laser on which patches are found."""
 FLOOR = 1e-4
 """Standard deviation of a point from its wall, beside noise, as a part of its range."""
 HARMONICS = 3
@@ -201,11 +201,11 @@ GAIN, WAVES = 1e-3, 7e-4
 FEW_POINTS, FEW_LINES = 6_000, 15
 """With which the rig is refined."""
 MOST_COST = 25.0
-"""Of one point in `truncated_cost`."""
+"""Largest cost of one point in `truncated_cost`."""
 ROBUST = 4.0
 """Sigmas at which the weight of a point is a quarter."""
 MOST_SHIFT = 300.0
-"""Of a stripe onto its wall, in sigmas."""
+"""Largest shift of a stripe onto its wall, in sigmas."""
 
 
 class Rig(NamedTuple):
@@ -370,7 +370,7 @@ def _refined(rig: Rig, walls: Equations) -> Rig:
 
 
 def iterate_fit(sweep: SweepStripes, rig: Rig, times: int, points: int = FEW_POINTS) -> Rig:
-    """The rig after some steps of least squares, with few points if nothing else is said."""
+    """The rig after some steps of least squares, with few points by default."""
     for _ in range(times):
         sample = take_sample(sweep, rig.scanner, points // FEW_LINES, points)
         label = label_points(sample, rig.theta)
@@ -508,7 +508,7 @@ def find_steps(sweep: SweepStripes, start: Rig) -> Rig:
     rig = iterate_fit(sweep, start, 3)
     vain: list[int] = []
     while len(rig.steps) < MOST_JUMPS:
-        # A large step divides walls, and no linear equation tells its size: breaks are tried one by one.
+        # A large step divides walls, and no linear equation gives its size: breaks are tried one by one.
         known = [*vain, *(record for record, _ in rig.steps)]
         breaks = [place for place in propose_steps(sweep, rig) if _is_far(place[0], known)]
         found = _best(sweep, rig, [_with_step(sweep, start, rig, place) for place in breaks])
@@ -563,7 +563,7 @@ def _stands_out(sweep: SweepStripes, rig: Rig, robust: bool) -> tuple[int, float
 
 
 def _with_step(sweep: SweepStripes, start: Rig, rig: Rig, place: tuple[int, float]) -> Rig:
-    """The rig with one more step, settled, at the record that its points tell."""
+    """The rig with one more step, after the fit has converged, at the record that its points determine."""
     steps = (*rig.steps, place)
     for times in PLACED:
         # With the step corrected, walls are whole across it, and give its size and then its record.
@@ -579,7 +579,7 @@ def _with_step(sweep: SweepStripes, start: Rig, rig: Rig, place: tuple[int, floa
 
 
 def _best(sweep: SweepStripes, rig: Rig, tried: list[Rig]) -> Rig | None:
-    """Of rigs with one more step the one that brings the most points to walls, if clearly more than without it."""
+    """The rig with one more step that brings the most points to walls, if clearly more than without the step."""
     if not tried:
         return None
     before, points = truncated_cost(sweep, rig)
@@ -671,7 +671,7 @@ def _breaks(x: np.ndarray, noise: np.ndarray, valid: np.ndarray) -> Float[np.nda
 NEIGHBOURS = 10
 """Records on each side of a step that was found in which it is sought once more."""
 AROUND = np.deg2rad(20.0)
-"""Turn on each side of a step in which the walls are fitted by which its record is told."""
+"""Turn on each side of a step in which the walls are fitted that determine its record."""
 LEAST_POINTS = 12
 """On a wall there."""
 MANY_LINES = 120
@@ -701,7 +701,7 @@ def _place_step(sweep: SweepStripes, rig: Rig, number: int) -> tuple[int, int, i
     if not walls or len(near.x) == 0:
         return record, record, record
     change = np.bincount(near.record - low, _costs(near, before, walls) - _costs(near, after, walls), high - low)
-    # Of a step at `low`, low + 1 ... high: all records from there on stand as after it.
+    # The cost of a step at `low`, low + 1 ... high: all records from there on stand as after it.
     cost = np.concatenate([[0.0], np.cumsum(change)])
     best = int(np.argmin(cost))
     possible = np.flatnonzero(cost < cost[best] + UNSURE)

@@ -381,7 +381,7 @@ def _turns(rig: TrueRig, pose: Motion, count: int) -> tuple[float, ...]:
         ends.append(phi)
     if ends[1] - ends[0] < 0.1:
         return ()
-    # Whole hundredths of a degree, which a stepper can be told to go to.
+    # Whole hundredths of a degree, to which a stepper can be sent.
     return tuple(float(np.deg2rad(round(np.rad2deg(phi), 2))) for phi in np.linspace(ends[0], ends[1], count))
 
 
@@ -675,7 +675,7 @@ def render_sweep(
     Args:
         config: The rig and its room.
         every: Only every n-th step.
-        seed: Of the noise, instead of the configuration's. The same seed gives the same frames,
+        seed: Seed of the noise, instead of the configuration's. The same seed gives the same frames,
             whatever `every` is.
         angles: Commanded angles [rad], instead of those of the plan.
         scene: What the rig sees, instead of the configuration's room alone; see `make_scene`.
@@ -701,7 +701,7 @@ def render_boards(
         config: The rig and its board.
         texture: Picture of the board's printed area (`board.outline()`), uint8 [rows, columns],
             row 0 at y0 and column 0 at x0, with a whole number of cells per square.
-        seed: Of poses and noise, instead of the configuration's.
+        seed: Seed of poses and noise, instead of the configuration's.
     """
     seed = config.seed if seed is None else seed
     rig, scene = make_rig(config), make_scene(config, boards=config.object is not None)

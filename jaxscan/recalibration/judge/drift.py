@@ -46,7 +46,7 @@ class Compared(NamedTuple):
     direction: Float[np.ndarray, "params directions"]
     """Steps of one standard deviation of the prior, as columns; best known after last."""
     whiten: Float[np.ndarray, "directions params"]
-    """Of a step: its part in each direction, in units of the prior's standard deviation."""
+    """Takes a step to its part in each direction, in units of the prior's standard deviation."""
     ratio: Float[np.ndarray, " directions"]
     """Variance after over that before [1]."""
 
@@ -85,7 +85,7 @@ def with_prior(
 
 
 NAMES = ("radial scale", "height scale")
-# More points say nothing new.
+# More points add nothing.
 _POINTS = 512
 
 
@@ -530,7 +530,7 @@ def _notes(found: Explanation, known: bool) -> tuple[str, ...]:
     return tuple(told)
 
 
-# A change whose chance variance is a smaller share of the prior's says nothing.
+# A change is not tested where its variance by chance is a smaller share of the prior's.
 _TOLD = 1e-6
 
 
