@@ -8,11 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from jaxscan.calibration.problem import Problem, camera_from_board, move, moving, shared_values, zero_step
 from jaxscan.calibration.rows import Chains, Rows, chains, corner_rows, stripe_rows
-from jaxscan.compiling import compile_sooner
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
 from jaxscan.leastsq import (
@@ -23,6 +22,7 @@ from jaxscan.leastsq import (
     Normal,
     Unknowns,
     covariance_of,
+    minimised,
     reduce_arrow,
     sum_arrow,
 )
@@ -125,16 +125,6 @@ def _seen(problem: Problem) -> Seen:
     return Seen(*rows, chains(problem), camera_from_board(problem), slopes)
 
 
-@compile_sooner
-def _solved(problem: Problem, damping: Float[Array, ""], tolerance: Float[Array, ""], max_steps: Int[Array, ""]) -> Any:
-    # A `Minimum`. Imported by whoever solves: it takes its time.
-    from jaxscan.leastsq.solver import minimise
-
-    problem = jax.tree.map(jnp.asarray, problem)
-    start = Point(moving(problem), jnp.zeros_like(problem.scales))
-    return minimise(Joint(problem), start, damping, tolerance, max_steps)
-
-
 @dataclass(frozen=True)
 class Linearised:
     """The problem at the point that it holds, to first order; scaled units, on the host."""
@@ -219,8 +209,8 @@ def solve(problem: Problem, damping: float, tolerance: float, max_steps: int) ->
     Raises:
         CalibrationError: If the point to begin with is not finite.
     """
-    found = _solved(problem, np.float64(damping), np.float64(tolerance), np.int32(max_steps))
-    found = jax.tree.map(np.asarray, found)
+    start = Point(moving(problem), np.zeros_like(problem.scales))
+    found = minimised(Joint(problem), start, damping, tolerance, max_steps)
     if not found.steps:
         raise CalibrationError("The solve left the range of numbers: the observations contradict each other.")
     (arrow, seen), problem = found.linear, _at(problem, found.y.moved)

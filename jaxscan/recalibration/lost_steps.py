@@ -6,7 +6,7 @@ stands out. A large one breaks walls, and is proposed by the turn between the no
 only both together find several large steps.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -300,6 +300,15 @@ def label_points(sample: Sample, theta: Float[np.ndarray, " records"]) -> Int[np
     return label
 
 
+def _walls(x: np.ndarray, label: Int[np.ndarray, " points"]) -> Iterator[tuple[Plane, Bool[np.ndarray, " points"]]]:
+    """The plane of each wall that has one, and which points are on the wall."""
+    for wall in range(int(label.max(initial=-1)) + 1):
+        on = label == wall
+        plane = robust_plane(x[on])
+        if plane is not None:
+            yield plane, on
+
+
 def wall_equations(
     sample: Sample,
     label: Int[np.ndarray, " points"],
@@ -319,12 +328,8 @@ def wall_equations(
     count = int(wall.max(initial=-1)) + 1
     error, sigma, lever, shift = np.zeros(len(order)), np.ones(len(order)), np.zeros(len(order)), np.zeros(len(order))
     own, normals = np.zeros((len(order), 3 * count)), np.zeros((len(order), 3))
-    for k in range(count):
-        on = wall == k
-        plane = robust_plane(x[on])
-        if plane is None:
-            continue
-        m = plane.normal
+    for plane, on in _walls(x, wall):
+        m, k = plane.normal, wall[np.argmax(on)]
         normals[on] = m
         error[on] = plane.distance - x[on] @ m
         # Derivatives are taken at the point moved onto the wall: otherwise shrinking the room would also shrink the
@@ -386,12 +391,9 @@ def truncated_cost(sweep: SweepStripes, rig: Rig) -> tuple[float, int]:
     label = label_points(sample, rig.theta)
     x, noise = sample.turned(rig.theta)
     square = np.full(len(x), MOST_COST)
-    for k in range(int(label.max(initial=-1)) + 1):
-        on = label == k
-        plane = robust_plane(x[on])
-        if plane is not None:
-            sigma = np.hypot(noise[on] @ plane.normal, FLOOR * np.linalg.norm(x[on], axis=1))
-            square[on] = np.minimum(((x[on] @ plane.normal - plane.distance) / sigma) ** 2, MOST_COST)
+    for plane, on in _walls(x, label):
+        sigma = np.hypot(noise[on] @ plane.normal, FLOOR * np.linalg.norm(x[on], axis=1))
+        square[on] = np.minimum(((x[on] @ plane.normal - plane.distance) / sigma) ** 2, MOST_COST)
     return float(square.sum()), len(label)
 
 

@@ -5,9 +5,8 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 from itertools import islice
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
-import jax
 import numpy as np
 
 from jaxscan.errors import ConfigError
@@ -92,7 +91,7 @@ def truth(config: SimulationConfig) -> dict[str, Any]:
     out: dict[str, Any] = {
         "format": "jaxscan-truth/1",
         "seed": config.seed,
-        "parameters": {name: _plain(value) for name, value in _parameters(scanner).items()},
+        "parameters": dict(zip(scanner.parameter_names(), _plain(scanner.values()), strict=True)),
         "lasers": lasers,
         "turntable": {
             "carries": config.turntable.carries,
@@ -118,24 +117,6 @@ def _axis(spec: TurntableSpec) -> Turntable:
     tr = np.array(spec.tr)
     tr[:3, 3] /= 1000
     return Turntable.from_tr(tr)
-
-
-def _parameters(scanner: Scanner) -> dict[str, Any]:
-    """Values of the minimal coordinates; a tangent coordinate is 0 at its own base point."""
-    # Simulated rigs have a table.
-    camera, table = scanner.camera, cast(Turntable, scanner.turntable)
-    values: dict[str, Any] = dict.fromkeys(scanner.parameter_names(), 0.0)
-    values |= dict(zip(camera.parameter_names(), np.asarray(camera.parameters()), strict=True))
-    for index, name in enumerate(scanner.laser_names):
-        sheet = jax.tree.map(lambda leaf, index=index: leaf[index], scanner.lasers)
-        values |= {
-            f"laser.{name}.d": sheet.distance,
-            f"laser.{name}.b2": sheet.bow[0],
-            f"laser.{name}.b3": sheet.bow[1],
-        }
-    values["gain"] = table.gain
-    values |= dict(zip(("c1", "s1", "c2", "s2"), np.asarray(table.harmonics), strict=True))
-    return values
 
 
 def _planes(room: RoomSpec, motion: Motion) -> list[dict[str, Any]]:
