@@ -130,6 +130,7 @@ GROUPS = {
 }
 """The verbs as the first page lists them."""
 ALWAYS = (
+    Entry(("--json",), "FILE", "Write the result as JSON too (- for standard output)."),
     Entry(("-h", "--help"), "", "Show this page."),
     Entry(("--debug",), "", "Show where in the program an error arose."),
 )
@@ -154,7 +155,7 @@ def overview(prog: str, description: str, verbs: Mapping[str, str]) -> str:
     for title, names in grouped.items():
         if names:
             lines += ["", f"{title}:", *_listed([(name, short(verbs[name])) for name in names])]
-    options = PROGRAM if prog == "jaxscan" else ALWAYS[:1]
+    options = PROGRAM if prog == "jaxscan" else PROGRAM[:1]
     lines += ["", "Options:", *_listed([(_names(entry), entry.text) for entry in options])]
     lines += ["", *_folded(f"More about a verb, with an example: {prog} VERB --help")]
     return "\n".join(lines) + "\n"

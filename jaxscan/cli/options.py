@@ -11,10 +11,11 @@ from typing import Annotated, Literal, NamedTuple
 
 import tyro
 
-from jaxscan.cli.terminal import check_json
+from jaxscan.cli.terminal import json_target
 from jaxscan.errors import DependencyError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
+from jaxscan.files import disk
 from jaxscan.files.clouds import FORMATS
 from jaxscan.files.disk import COPY_FIRST, is_address
 from jaxscan.geometry.motion_kinds import Carries as Carries
@@ -153,9 +154,7 @@ def _places(paths: Paths) -> list[Place]:
     return found
 
 
-def check_paths(
-    reads: Paths, writes: Paths = MappingProxyType({}), *, kept: Paths = MappingProxyType({}), json: str | None = None
-) -> None:
+def check_paths(reads: Paths, writes: Paths = MappingProxyType({}), *, kept: Paths = MappingProxyType({})) -> None:
     """Refuse an output that is an input, or another output, also under another name or as a link; and a place for the
     JSON that cannot be written.
 
@@ -163,7 +162,6 @@ def check_paths(
         reads: All files that the verb reads.
         writes: All files that it writes; in the folder of a capture that it reads, only files that are not of it.
         kept: Files of the capture itself that the verb writes.
-        json: Where the result is written as JSON too, "-" for standard output.
 
     Raises:
         JaxscanError: If the JSON cannot be written.
@@ -174,7 +172,7 @@ def check_paths(
     _reads[:] = [place.path for place in inputs]
     known = [(place, _identity(place)) for place in (*inputs, *own)]
     captures = [place for place in inputs if place.is_capture]
-    for place in _places({**writes, "--json": json}):
+    for place in _places({**writes, "--json": json_target()}):
         identity = _identity(place)
         for other, theirs in known:
             if identity & theirs:
@@ -192,7 +190,8 @@ def check_paths(
         for other in inputs:
             if _identity(place) & _identity(other):
                 raise OptionError(f"{other}: is the file in which {place.role} are kept; move it to another folder.")
-    check_json(json)
+    if json_target() not in (None, "-"):
+        disk.check_writable(str(json_target()))
 
 
 def inputs_in_words() -> str:

@@ -21,7 +21,7 @@ from jaxscan.cli.options import (
     range_limits,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json
+from jaxscan.cli.terminal import Terminal, console, emit_json
 from jaxscan.errors import CalibrationError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
@@ -57,7 +57,6 @@ def recalibrate(
         Path | None, tyro.conf.arg(help=f"Cloud of the sweeps with the new calibration ({CLOUD_SUFFIXES}).")
     ] = None,
     report: Path | None = None,
-    json: JsonTarget = None,
 ) -> None:
     """Recalibrate from sweeps of a room: `jaxscan recalibrate captures/room -c old.json -o new.json`.
 
@@ -79,7 +78,6 @@ def recalibrate(
         min_range: Smallest distance of points from the camera [m].
         max_range: Largest distance of points from the camera [m].
         report: Report to write: an HTML page by which to judge the recalibration.
-        json: Write the result as JSON too.
     """
     range_limits("--min-range", min_range, "--max-range", max_range)
     settings = api.RecalibrationSettings(
@@ -92,7 +90,6 @@ def recalibrate(
         {"SWEEP": sweeps, "--boards": boards, "--calibration": calibration, "--known": known},
         {"--output": output, "--cloud": cloud, "--report": report},
         kept={"the stripes": [path / capture_files.CACHE_NAME for path in sweeps]},
-        json=json,
     )
     calibration_files.check_calibration_path(output, with_observations=False)
     if cloud is not None:
@@ -123,14 +120,14 @@ def recalibrate(
         disk.write_atomically(report, reports.recalibration_page(result, title=title, notes=tuple(notes)).encode())
         files["report"] = str(report)
     if result.calibration is not None:
-        out = console(json)
+        out = console()
         out.notes(notes)
         out.print(f"written: {', '.join(files.values())}")
         print_recalibration(out, result)
         out.print(_good_to(result.calibration, api.load_calibration(calibration)))
         next_words = ["jaxscan", "reconstruct", str(sweeps[0]), "-c", str(output), "-o", f"{sweeps[0].name}.ply"]
         out.print(f"next: {shlex.join(next_words)}")
-    emit_json(json, "recalibrate", files | recalibration_json(result))
+    emit_json(files | recalibration_json(result))
     if result.calibration is None:
         sentences = (*reports.words.table_lines(result), f"{reports.words.drift_words(result.drift)}.")
         why = result.refused.removesuffix(".")

@@ -10,7 +10,7 @@ import tyro
 
 import jaxscan
 from jaxscan.cli.help import SHELLS, Verb, completion, entries_of, mistake, overview, short, unknown_verb, verb_page
-from jaxscan.cli.terminal import Terminal
+from jaxscan.cli.terminal import Terminal, json_to
 from jaxscan.printable import printable
 
 
@@ -130,12 +130,31 @@ def _parse(words: Sequence[str], *, answer: bool = True) -> Callable[[], None]:
     if wrong:
         _leave(wrong, answer)
 
+    rest, target = _without_json(rest)
+
     @functools.wraps(function)
     def bind(*positional: Any, **options: Any) -> Any:
         return functools.partial(function, *positional, **options)
 
     bound: Callable[[], None] = tyro.cli(bind, prog=f"{prog} {verb}", args=rest, console_outputs=answer)
-    return bound
+
+    def work() -> None:
+        with json_to(target, "-".join([*above, verb])):
+            bound()
+
+    return work
+
+
+def _without_json(words: Sequence[str]) -> tuple[list[str], str | None]:
+    """The words of a verb without `--json FILE`, and the file."""
+    kept, target, waiting = list[str](), None, iter(words)
+    for word in waiting:
+        name, sign, value = word.partition("=")
+        if name == "--json":
+            target = value if sign else next(waiting)
+        else:
+            kept.append(word)
+    return kept, target
 
 
 def _completion(words: Sequence[str], *, answer: bool) -> Callable[[], None]:
