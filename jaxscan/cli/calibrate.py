@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 
 from jaxscan import api, geometry
 from jaxscan import calibration as calibrating
 from jaxscan import report as reports
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import Block, OutputPath, Part, RigKind, check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import Terminal, console, emit_json, table
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    captures: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")],
+    captures: Annotated[tuple[Path, ...], Arg("CAPTURE")],
     /,
     *,
     output: OutputPath,

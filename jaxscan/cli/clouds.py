@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 
 import jaxscan
 from jaxscan import api, measurement, reconstruction
 from jaxscan.api.stages import Stage, Stages
+from jaxscan.cli.help import Arg
 from jaxscan.cli.measure import in_metres, upright
 from jaxscan.cli.options import (
     CLOUD_SUFFIXES,
@@ -49,8 +49,8 @@ TARGET = (
 
 
 def convert(
-    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")],
-    target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUTPUT", help=TARGET)],
+    source: Annotated[Path, Arg("INPUT")],
+    target: Annotated[Path, Arg("OUTPUT", text=TARGET)],
     /,
     *,
     format: CameraFormat | None = None,
@@ -156,7 +156,7 @@ def align(
     /,
     *,
     output: CloudOutputPath,
-    targets: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    targets: Annotated[Path | None, Arg("FILE")] = None,
     room: bool = False,
     unit: CloudUnit = None,
     up: CloudUp = None,
@@ -242,7 +242,7 @@ def clean(
     /,
     *,
     output: CloudOutputPath,
-    box: Annotated[tuple[float, float, float, float, float, float] | None, tyro.conf.arg(metavar="X Y Z X Y Z")] = None,
+    box: Annotated[tuple[float, float, float, float, float, float] | None, Arg("X Y Z X Y Z")] = None,
     thin_mm: float | None = None,
     isolated_mm: float | None = None,
     neighbours: int = 3,
@@ -303,7 +303,7 @@ def _listed(left: dict[str, int]) -> str:
 
 
 def register(
-    sources: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="STATION")],
+    sources: Annotated[tuple[Path, ...], Arg("STATION")],
     /,
     *,
     output: CloudOutputPath,

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
-import tyro
 
 from jaxscan import api, geometry, simulation, vision
 from jaxscan import report as reports
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import Terminal, console, emit_json, table
@@ -30,7 +30,7 @@ FILES = ("calibration.json", "room.ply", "room.png")
 PATCH_M = 0.1
 
 
-def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo")) -> None:
+def demo(*, output: Annotated[Path, Arg(short="-o")] = Path("demo")) -> None:
     """Calibrate, scan, reconstruct and measure a simulated room: `jaxscan demo`.
 
     Writes calibration.json, room.ply, room.png, and the rendered images and their truth in `captures`. The truth is

@@ -6,10 +6,9 @@ import re
 from pathlib import Path
 from typing import Annotated, Any
 
-import tyro
-
 from jaxscan import api
 from jaxscan import design as rigs
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import check_paths
 from jaxscan.cli.terminal import Terminal, console, emit_json, table
 from jaxscan.errors import OptionError, OutputError
@@ -18,18 +17,18 @@ from jaxscan.files import disk
 
 def design(
     *,
-    range: Annotated[str, tyro.conf.arg(metavar="LENGTH")],
-    sigma: Annotated[str, tyro.conf.arg(metavar="LENGTH")],
-    camera: Annotated[str | None, tyro.conf.arg(metavar="SIZE")] = None,
-    pixel: Annotated[str, tyro.conf.arg(metavar="LENGTH")] = "3.45um",
-    lens: Annotated[str | None, tyro.conf.arg(metavar="LENGTH")] = None,
-    baseline: Annotated[str | None, tyro.conf.arg(metavar="LENGTH")] = None,
-    longest_baseline: Annotated[str, tyro.conf.arg(metavar="LENGTH")] = "0.6m",
-    field: Annotated[str, tyro.conf.arg(metavar="ANGLE")] = "40deg",
-    stripe_noise: Annotated[str | None, tyro.conf.arg(metavar="PIXELS")] = None,
-    calibration_noise: Annotated[str | None, tyro.conf.arg(metavar="PIXELS")] = None,
-    step: Annotated[str, tyro.conf.arg(metavar="ANGLE")] = "0.2deg",
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    range: Annotated[str, Arg("LENGTH")],
+    sigma: Annotated[str, Arg("LENGTH")],
+    camera: Annotated[str | None, Arg("SIZE")] = None,
+    pixel: Annotated[str, Arg("LENGTH")] = "3.45um",
+    lens: Annotated[str | None, Arg("LENGTH")] = None,
+    baseline: Annotated[str | None, Arg("LENGTH")] = None,
+    longest_baseline: Annotated[str, Arg("LENGTH")] = "0.6m",
+    field: Annotated[str, Arg("ANGLE")] = "40deg",
+    stripe_noise: Annotated[str | None, Arg("PIXELS")] = None,
+    calibration_noise: Annotated[str | None, Arg("PIXELS")] = None,
+    step: Annotated[str, Arg("ANGLE")] = "0.2deg",
+    output: Annotated[Path | None, Arg(short="-o")] = None,
     save_rig: Path | None = None,
 ) -> None:
     """Choose camera, lens, baseline and laser for an accuracy: `jaxscan design --range 4 --sigma 1mm`.

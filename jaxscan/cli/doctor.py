@@ -10,8 +10,7 @@ from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
-import tyro
-
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.signals import RigInUse
@@ -59,7 +58,7 @@ def doctor(
     port: str | None = None,
     config: Path | None = None,
     camera: str | None = None,
-    capture: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
+    capture: Annotated[Path | None, Arg("DIR")] = None,
 ) -> None:
     """Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config scan.toml`.
 

@@ -7,11 +7,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-import tyro
 
 import jaxscan
 from jaxscan import api, vision
 from jaxscan import report as reports
+from jaxscan.cli.help import Arg
 from jaxscan.cli.measure import calibrated, upright
 from jaxscan.cli.options import (
     CalibrationPath,
@@ -48,10 +48,10 @@ def plan(
     /,
     *,
     output: Annotated[
-        Path, tyro.conf.arg(aliases=["-o"], help="Drawing to write; the suffix chooses: .dxf .svg .pdf .png, or .ifc.")
+        Path, Arg(short="-o", text="Drawing to write; the suffix chooses: .dxf .svg .pdf .png, or .ifc.")
     ],
     height: tuple[float, ...] = (1.0,),
-    section: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PLACE")] = (),
+    section: Annotated[tuple[str, ...], Arg("PLACE")] = (),
     scale: int | None = None,
     sheet: Literal["a4", "a3", "a2", "a1", "a0"] = "a4",
     name: str = "",
@@ -221,7 +221,7 @@ def orthophoto(
     cloud: CloudPath,
     /,
     *,
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    output: Annotated[Path, Arg(short="-o")],
     pixel_mm: float = 5.0,
     calibration: OptionalCalibrationPath = None,
     unit: CloudUnit = None,
@@ -279,7 +279,7 @@ def panorama(
     calibration: CalibrationPath,
     output: Annotated[
         Path | None,
-        tyro.conf.arg(aliases=["-o"], help="Picture to write; the suffix chooses: .jpg, .png, or .e57 with the cloud."),
+        Arg(short="-o", text="Picture to write; the suffix chooses: .jpg, .png, or .e57 with the cloud."),
     ] = None,
     cloud: Path | None = None,
     projection: Literal["equirectangular", "cylinder"] = "equirectangular",

@@ -3,9 +3,8 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
-
 from jaxscan import stripes as stripe_search
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import Carries, ImageUp, LaserColour, PixelFormat, StripeAxis, check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import Terminal, console, emit_json
@@ -22,10 +21,10 @@ Patterns = tuple[str, ...]
 
 
 def import_(
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")],
+    folder: Annotated[Path, Arg("FOLDER")],
     /,
     *,
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    output: Annotated[Path | None, Arg(short="-o")] = None,
     show: bool = False,
     on: Patterns = (),
     off: Patterns = (),

@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import tyro
 
 from jaxscan import api
 from jaxscan import project as projects
 from jaxscan import report as reports
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import CLOUD_SUFFIXES, check_paths
 from jaxscan.cli.project import counted, in_words
 from jaxscan.cli.terminal import console, emit_json
@@ -24,7 +24,7 @@ Facts = dict[str, Any]
 """Facts of a file by their names; None is left out."""
 
 
-def info(file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")], /) -> None:
+def info(file: Annotated[Path, Arg("FILE")], /) -> None:
     """Say what a file is: `jaxscan info room.ply`.
 
     A cloud, a calibration, a capture, a project or a configuration: its size and age, its frame and unit, what it was

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 
 import jaxscan
 from jaxscan import measurement
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import (
     CloudPath,
     CloudUnit,
@@ -299,7 +299,7 @@ def deviations(
     at: Point,
     radius_mm: float = 500.0,
     cell_mm: float = 50.0,
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    output: Annotated[Path | None, Arg(short="-o")] = None,
     unit: CloudUnit = None,
 ) -> None:
     """Deviations from a plane: `jaxscan measure deviations room.ply --at 1.9 0.2 0.1 -o map.png`.

@@ -4,9 +4,8 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
-
 from jaxscan import api, surface
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import CloudPath, OptionalCalibrationPath, at_least, check_paths, positive
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import console, emit_json
@@ -28,7 +27,7 @@ def mesh(
     cloud: CloudPath,
     /,
     *,
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], help=_TARGET)],
+    output: Annotated[Path, Arg(short="-o", text=_TARGET)],
     calibration: OptionalCalibrationPath = None,
     texture: Path | None = None,
     texels: int | None = None,

@@ -9,8 +9,7 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import Annotated, Literal, NamedTuple
 
-import tyro
-
+from jaxscan.cli.help import Arg
 from jaxscan.cli.terminal import json_target
 from jaxscan.errors import DependencyError, OptionError
 from jaxscan.files import calibration as calibration_files
@@ -21,29 +20,29 @@ from jaxscan.files.disk import COPY_FIRST, is_address
 from jaxscan.geometry.motion_kinds import Carries as Carries
 
 
-CapturePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
-CloudPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CLOUD")]
-ConfigPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")]
-OutputPath = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+CapturePath = Annotated[Path, Arg("CAPTURE")]
+CloudPath = Annotated[Path, Arg("CLOUD")]
+ConfigPath = Annotated[Path, Arg("CONFIG")]
+OutputPath = Annotated[Path, Arg(short="-o")]
 CloudUnit = Annotated[
     Literal["m", "cm", "mm", "inch", "foot", "us-foot"] | None,
-    tyro.conf.arg(help="Unit of a cloud of another program; without, it is guessed where the file does not say it."),
+    Arg(text="Unit of a cloud of another program; without, it is guessed where the file does not say it."),
 ]
 CloudColumns = Annotated[
     str | None,
-    tyro.conf.arg(
-        metavar="NAMES",
-        help="Columns of a text, PLY or PCD of another program in their order: x, y, z, i (intensity), r, g, b, nx, "
+    Arg(
+        "NAMES",
+        text="Columns of a text, PLY or PCD of another program in their order: x, y, z, i (intensity), r, g, b, nx, "
         "ny, nz, sigma_random, and - for one to leave out.",
     ),
 ]
 CloudColours = Annotated[
     Literal["1", "255", "1023", "4095", "65535", "none"] | None,
-    tyro.conf.arg(help="Number of full brightness in a cloud of another program; none leaves its colours out."),
+    Arg(text="Number of full brightness in a cloud of another program; none leaves its colours out."),
 ]
 CloudUp = Annotated[
     Literal["x", "-x", "y", "-y", "z", "-z"] | None,
-    tyro.conf.arg(help="Direction of the cloud that is up: it becomes z. Ours have z up."),
+    Arg(text="Direction of the cloud that is up: it becomes z. Ours have z up."),
 ]
 # Choices of other rooms, written out so that `--help` does not load them; a test compares them.
 Part = Literal["camera", "sheet", "axis"]
@@ -81,10 +80,10 @@ CLOUD_SUFFIXES = " ".join(FORMATS)
 """Suffixes of `jaxscan.files.clouds.WRITERS`, written out so that `--help` does not load the readers and writers."""
 CloudOutputPath = Annotated[
     Path,
-    tyro.conf.arg(aliases=["-o"], help=f"Cloud to write; the suffix chooses the format ({CLOUD_SUFFIXES})."),
+    Arg(short="-o", text=f"Cloud to write; the suffix chooses the format ({CLOUD_SUFFIXES})."),
 ]
-CalibrationPath = Annotated[Path, tyro.conf.arg(aliases=["-c"])]
-OptionalCalibrationPath = Annotated[Path | None, tyro.conf.arg(aliases=["-c"])]
+CalibrationPath = Annotated[Path, Arg(short="-c")]
+OptionalCalibrationPath = Annotated[Path | None, Arg(short="-c")]
 
 
 MAX_COORDINATE_M = 1e8

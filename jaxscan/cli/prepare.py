@@ -8,10 +8,9 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 import jaxscan
 from jaxscan import api
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import ConfigPath, OutputPath, Paper, at_least, check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import console, emit_json
@@ -19,14 +18,14 @@ from jaxscan.errors import ConfigError, OptionError
 from jaxscan.files import disk
 
 
-Name = Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
+Name = Annotated[str | None, Arg("NAME")]
 
 
 def init(
     name: Name = None,
     /,
     *,
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    output: Annotated[Path | None, Arg(short="-o")] = None,
     list: bool = False,
 ) -> None:
     """Write a configuration to start from: `jaxscan init scan.toml`. All there are: `jaxscan init --list`.

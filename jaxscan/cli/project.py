@@ -9,10 +9,10 @@ from collections.abc import Iterator, Sequence, Sized
 from pathlib import Path
 from typing import Annotated, Any, final
 
-import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from jaxscan import project as projects
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import at_least, check_paths
 from jaxscan.cli.signals import leave_behind
 from jaxscan.cli.terminal import Terminal, console, emit_json, table
@@ -21,7 +21,7 @@ from jaxscan.files import disk
 from jaxscan.printable import printable
 
 
-ProjectPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PROJECT")]
+ProjectPath = Annotated[Path, Arg("PROJECT")]
 STATES = ("done", "stale", "failed", "missing")
 
 
@@ -44,7 +44,7 @@ NAME = "project.toml"
 
 
 def init(
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")] = Path(),
+    folder: Annotated[Path, Arg("FOLDER")] = Path(),
     /,
 ) -> None:
     """Write the project of what lies in a folder: `jaxscan project init FOLDER`.
@@ -122,8 +122,8 @@ def _as_json(status: "projects.Status") -> dict[str, Any]:
 
 
 def compare(
-    first: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FIRST")],
-    second: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SECOND")],
+    first: Annotated[Path, Arg("FIRST")],
+    second: Annotated[Path, Arg("SECOND")],
     /,
 ) -> None:
     """Lengths of two epochs or two versions: `jaxscan project compare old/project.toml new/project.toml`.

@@ -4,11 +4,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 
 import jaxscan
 from jaxscan import report as reports
 from jaxscan.cli.calibrate import summary, write_page
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import CLOUD_SUFFIXES, CloudUnit, CloudUp, OptionalCalibrationPath, OutputPath, check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import console, emit_json
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def report(
-    result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")],
+    result: Annotated[Path, Arg("RESULT")],
     /,
     *,
     output: OutputPath,

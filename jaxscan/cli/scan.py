@@ -7,9 +7,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-import tyro
 
 from jaxscan import api
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import CLOUD_SUFFIXES, ConfigPath, OptionalCalibrationPath, OutputPath, check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.scan_display import ScanDisplay, ScanPlan, sweep_header
@@ -42,7 +42,7 @@ def scan(
     port: str | None = None,
     calibration: OptionalCalibrationPath = None,
     cloud: Annotated[
-        Path | None, tyro.conf.arg(help=f"With --calibration: cloud to write at the end ({CLOUD_SUFFIXES}).")
+        Path | None, Arg(text=f"With --calibration: cloud to write at the end ({CLOUD_SUFFIXES}).")
     ] = None,
     smooth: Literal["off", "edge"] = "edge",
     place_command: str | None = None,

@@ -12,9 +12,9 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
-import tyro
 
 from jaxscan import project as projects
+from jaxscan.cli.help import Arg
 from jaxscan.cli.measure import calibrated
 from jaxscan.cli.options import CloudUnit, CloudUp, OptionalCalibrationPath, check_paths, need_pages
 from jaxscan.cli.terminal import console, emit_json
@@ -35,11 +35,11 @@ LARGEST_PICTURE = 200_000_000
 
 
 def view(
-    clouds: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="CLOUD")],
+    clouds: Annotated[tuple[Path, ...], Arg("CLOUD")],
     /,
     *,
     calibration: OptionalCalibrationPath = None,
-    panorama: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH")] = (),
+    panorama: Annotated[tuple[Path, ...], Arg("PATH")] = (),
     unit: CloudUnit = None,
     up: CloudUp = None,
     host: str = HOST,
