@@ -32,7 +32,7 @@ class Angles(NamedTuple):
     """The angles of all records of all sweeps, one after another.
 
     Each image in which features are seen has an unknown correction, the stop of the table beside its angle: all its
-    sightings share that. Stops of other records are errors that the points of their walls share, see `wall_shape`.
+    sightings share that. Stops of other records are errors that the points of their walls share, see `errors`.
     """
 
     first: Int[np.ndarray, " sweeps"]
