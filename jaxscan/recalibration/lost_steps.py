@@ -309,12 +309,7 @@ def _walls(x: np.ndarray, label: Int[np.ndarray, " points"]) -> Iterator[tuple[P
             yield plane, on
 
 
-def wall_equations(
-    sample: Sample,
-    label: Int[np.ndarray, " points"],
-    rig: Rig,
-    robust: bool = True,
-) -> Equations:
+def wall_equations(sample: Sample, label: Int[np.ndarray, " points"], rig: Rig, robust: bool = True) -> Equations:
     """The equations of all points on walls, linear about a rig; `robust`: points far from their wall weigh little.
 
     The unknowns are three for each wall, the coordinates of camera, sheets and axis, the gain, errors that repeat a few

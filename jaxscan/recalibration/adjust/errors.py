@@ -45,9 +45,7 @@ class Noise(NamedTuple):
 
 
 def learn_noise(
-    square: Float[np.ndarray, " points"],
-    given_px: Float[np.ndarray, " points"],
-    reach: Float[np.ndarray, " points"],
+    square: Float[np.ndarray, " points"], given_px: Float[np.ndarray, " points"], reach: Float[np.ndarray, " points"]
 ) -> Noise:
     """Variance components of the noise, by iterated weighted least squares of squared errors [px^2].
 

@@ -243,10 +243,7 @@ class State:
 
 
 def adjust(
-    prior: Scanner,
-    start: Start,
-    observations: RoomObservations,
-    settings: RecalibrationSettings | None = None,
+    prior: Scanner, start: Start, observations: RoomObservations, settings: RecalibrationSettings | None = None
 ) -> Adjusted:
     """Scanner, stations, surfaces and angles in one least squares of all observations and the stored calibration.
 

@@ -28,11 +28,7 @@ _LEAST_SCALE = 0.01
 
 
 def refuse_result(
-    adjusted: Adjusted,
-    compared: Compared,
-    drift: Drift,
-    held_out: HoldOut | None,
-    lengths: Sequence[LengthGain],
+    adjusted: Adjusted, compared: Compared, drift: Drift, held_out: HoldOut | None, lengths: Sequence[LengthGain]
 ) -> str:
     """The first reason not to update; empty where there is none."""
     best = float(np.max(compared.factor, initial=1.0))
