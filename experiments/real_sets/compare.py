@@ -52,7 +52,7 @@ def markdown(results: dict[str, Any]) -> str:
     """The page."""
     known = [one for one in SETS if one.name in results]
     boards = [one for one in known if one.header["kind"] == "calibration"]
-    parts = [HEAD, "## The sets", _sets(known)]
+    parts = [HEAD, "## The sets", _sets(known, results)]
     parts += ["## The first sentence", _sentences(boards, results)]
     parts += ["## Corners", CORNERS, _corners(boards, results)]
     parts += ["## Lines on boards", LINES, _lines(boards, results)]
@@ -84,12 +84,17 @@ true ones and no more: "on table" counts the points within 1 mm of the cubic sur
 """
 
 
-def _sets(known: list[RealSet]) -> str:
+FIRST_DATE = "2026-11-28"
+"""Since then results hold the day on which they were measured."""
+
+
+def _sets(known: list[RealSet], results: dict[str, Any]) -> str:
     rows = []
     for one in known:
         place = one.repository if one.repository == "opencv/opencv" else f"{one.repository} {one.commit[:7]}"
-        rows.append([one.name, place, one.licence, one.about, one.reference or "none"])
-    return table(["set", "repository", "licence", "capture", "published"], rows)
+        when = results[one.name].get("ours", {}).get("measured", f"before {FIRST_DATE}")
+        rows.append([one.name, place, one.licence, one.about, one.reference or "none", when])
+    return table(["set", "repository", "licence", "capture", "published", "jaxscan of"], rows)
 
 
 def _sentences(boards: list[RealSet], results: dict[str, Any]) -> str:
