@@ -321,7 +321,7 @@ def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind
 
     def measured_by(look: Callable[[Array], Look | None] = lambda k: None) -> FrameStripes:
         found = every(lambda k: estimator.measure(*planes(k), search, sites, kind.linear, look(k)))
-        shifted = found.u + offsets[np.arange(found.u.shape[2]) % len(offsets)]
+        shifted = found.u + offsets[np.arange(found.u.shape[2]) % len(offsets)][None, None]
         return found._replace(u=jnp.where(found.valid, shifted, 0.0))
 
     if estimator.faint and kind.choice == "path":

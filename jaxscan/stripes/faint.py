@@ -8,6 +8,7 @@ own signal is asked for, but for what speckle takes away.
 The search and the fit are those of the first look; that both are compiled once, which look it is is a number.
 """
 
+import math
 from typing import NamedTuple
 
 import jax
@@ -52,7 +53,7 @@ class Look(NamedTuple):
 
     def believed(self, found: FrameStripes, peaks: Peaks, search: Search) -> FrameStripes:
         """The stripes [candidates, lines] that are where the lines around have theirs, and as bright."""
-        around = peaks.height * (_TOGETHER_SNR / np.sqrt(TOGETHER))
+        around = peaks.height * (_TOGETHER_SNR / math.sqrt(TOGETHER))
         share = jnp.maximum(_DARKER - 0.5 * search.speckle, _FADED)
         near = (jnp.abs(found.u - peaks.at) <= _REACH_PX) & (found.snr >= share * around)
         return found._replace(valid=found.valid & (near | ~self.again))

@@ -113,15 +113,20 @@ def find_peaks(
     wanted = (jnp.asarray(high) > 0) if wanted is None else wanted & (jnp.asarray(high) > 0)
     if together is not None:
         lattice = lax.cond(together, lambda one: _together(one, inside, off is not None), lambda one: one, lattice)
-        lines = jnp.where(together, TOGETHER / 2, 1.0)
-        thresholds = jnp.where(together, _CLEARER * thresholds, thresholds).astype(jnp.int16)
+        lines = jnp.where(together, TOGETHER / 2, 1.0).astype(jnp.float32)
+        raised = jnp.where(together, _CLEARER, 1.0).astype(jnp.float32) * thresholds.astype(jnp.float32)
+        thresholds = raised.astype(jnp.int16)
     ground = _surround(lattice) if off is None else None
     some = jnp.any(wanted)
 
     def bases(at: Array) -> tuple[Array, Array]:
         """The ground under a point of every line, and the threshold there."""
         base = jnp.zeros(()) if ground is None else jnp.take_along_axis(ground, at[:, None], 1)[:, 0]
-        level = (base / (8 * each * lines)).astype(jnp.int32) if off is None else _level(off, each, at)
+        level = (
+            _level(off, each, at)
+            if off is not None
+            else (base.astype(jnp.float32) / (8 * each * lines)).astype(jnp.int32)
+        )
         return base, thresholds[level]
 
     def measured(line: Array, at: Array, base: Array, threshold: Array) -> tuple[Array, ...]:
