@@ -35,7 +35,8 @@ _NEAREST_M, _FARTHEST_M = 0.3, 10.0
 _NODES_PX = 16
 """Distance between the pixels of which the place in another step is computed [px]."""
 _AGREE_DN = 8.0
-"""Difference of two steps up to which their mean is taken, and beyond it the darker: one has a stripe there [DN]."""
+"""Difference of two steps up to which their mean is taken, and beyond it the median of both and of the frame itself: one
+of the two has a stripe there, or an edge is not where it should be [DN]."""
 _MOST_DN = 20.0
 """Residual from which more is not worse [DN]."""
 _AROUND = (8, 4)
@@ -251,7 +252,9 @@ def moved(seen: Channels, neighbours: tuple[Channels, Channels], where: tuple[np
         # What only one of the steps sees is taken from that one.
         first, second = np.where(there, first, second), np.where(here, second, first)
         apart, darker = np.abs(first - second), np.minimum(first, second)
-        found = np.where(apart < np.float32(_AGREE_DN), 0.5 * (first + second), darker)
+        # Not the darker of both: at every edge it would leave a bright line.
+        between = np.clip(own, darker, np.maximum(first, second))
+        found = np.where(apart < np.float32(_AGREE_DN), 0.5 * (first + second), between)
         missed = np.abs(own - darker)
         size = np.minimum(np.where(there & here, apart, missed), np.float32(_MOST_DN))
         size = box_mean((size + np.minimum(missed, np.float32(_MOST_DN))).mean(0, keepdims=True), *_AROUND)[0]
