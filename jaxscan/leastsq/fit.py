@@ -19,8 +19,17 @@ from jaxtyping import Float, Int
 from jaxscan.compiling import compile_sooner
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
-from jaxscan.leastsq.arrow import Arrow, Covariance, covariance_of, undetermined
-from jaxscan.leastsq.problem import AbstractProblem, Linear, Normal, Unknowns, sum_arrow
+from jaxscan.leastsq.arrow import (
+    AbstractProblem,
+    Arrow,
+    Covariance,
+    Linear,
+    Normal,
+    Unknowns,
+    covariance_of,
+    sum_arrow,
+    undetermined,
+)
 from jaxscan.leastsq.robust import Loss, noise_component
 
 

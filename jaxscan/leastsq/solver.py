@@ -13,8 +13,7 @@ import optimistix as optx
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Array
-from jaxscan.leastsq.arrow import Arrow, arrow_times, solve_arrow
-from jaxscan.leastsq.problem import AbstractProblem, Linear, Unknowns
+from jaxscan.leastsq.arrow import AbstractProblem, Arrow, Linear, Unknowns, arrow_times, solve_arrow
 
 
 # Relative rounding error of a sum of some ten thousand squares.

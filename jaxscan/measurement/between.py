@@ -6,7 +6,6 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
-from jaxscan.measurement.checked import checked_samples, is_known, require_known
 from jaxscan.measurement.planes import (
     Plane,
     Point,
@@ -18,7 +17,16 @@ from jaxscan.measurement.planes import (
     require_plane,
     weighted_plane,
 )
-from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, CloudSamples, Samples, places_of
+from jaxscan.measurement.samples import (
+    SIGMA_FLOOR_M,
+    Cloud,
+    CloudSamples,
+    Samples,
+    checked_samples,
+    is_known,
+    places_of,
+    require_known,
+)
 from jaxscan.measurement.systematic import systematic_sigma
 
 

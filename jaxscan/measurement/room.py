@@ -8,12 +8,10 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
-from jaxscan.measurement.checked import is_known
 from jaxscan.measurement.planes import Plane
-from jaxscan.measurement.ransac import find_planes
-from jaxscan.measurement.samples import Cloud, CloudSamples, Samples, about_the_scanner, places_of
+from jaxscan.measurement.samples import Cloud, CloudSamples, Samples, about_the_scanner, is_known, places_of
 from jaxscan.measurement.systematic import systematic_sigma
-from jaxscan.measurement.walls import BEYOND, Wall, outermost, refine_wall, wall_weights
+from jaxscan.measurement.walls import BEYOND, Wall, find_planes, outermost, refine_wall, wall_weights
 
 
 LEVEL = np.cos(np.radians(15.0))

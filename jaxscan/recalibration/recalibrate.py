@@ -13,12 +13,12 @@ from jaxscan.geometry import Scanner
 from jaxscan.recalibration import judge
 from jaxscan.recalibration.adjust import adjust
 from jaxscan.recalibration.lengths import check_adjusted, check_lengths, found_lengths, lost_lengths, place_lengths
+from jaxscan.recalibration.lost_steps import check_angles
 from jaxscan.recalibration.observed import Given, RecalibrationSettings, RoomObservations, SweepStripes
 from jaxscan.recalibration.renew import require_prior
 from jaxscan.recalibration.result import Adjusted, PanoramaOfWalls, Recalibration, Start, TableFindings
 from jaxscan.recalibration.segment import label_planes, observe_surfaces
 from jaxscan.recalibration.stations import place_stations
-from jaxscan.recalibration.table import check_angles
 from jaxscan.recalibration.tracks import place_tracks
 
 
@@ -241,7 +241,7 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
         # The gain is reported against the stored covariance, even where a part of that prior was given up.
         adjusted=replace(adjusted, prior=stored),
         drift=verdict.drift,
-        gains=judge.gains_of(gained, judge.scales_of(gained, slopes), names),
+        gains=judge.drifts_of(gained, judge.scales_of(gained, slopes), names),
         unobserved=judge.unobserved(solved, judge.scales_of(solved, slopes), names),
         moved=judge.moved_parameters(stored, adjusted.departure, solved, verdict.loosened),
         hold_out=held_out,

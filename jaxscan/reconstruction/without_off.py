@@ -14,7 +14,7 @@ from concurrent.futures import ThreadPoolExecutor
 from typing import Literal, NamedTuple
 
 import numpy as np
-from jaxtyping import Float, UInt8
+from jaxtyping import Bool, Float, UInt8
 
 from jaxscan.geometry import Array, Scanner, StripeAxis, pixels, poses, rays, stripe_pixel, transform
 from jaxscan.reconstruction.ahead import workers
@@ -244,11 +244,25 @@ def moved(seen: Channels, neighbours: tuple[Channels, Channels], where: tuple[np
     own = np.stack([level, *(other[0] for other in seen.others)])
     best, least = own, np.full_like(level, np.inf)
     for number in range(len(where[0])):
-        first, second = (warped(stack, place[number], _NODES_PX) for stack, place in zip(stacks, where, strict=True))
+        (first, there), (second, here) = (
+            (warped(stack, place[number], _NODES_PX), _inside(place[number], level.shape))
+            for stack, place in zip(stacks, where, strict=True)
+        )
+        # What only one of the steps sees is taken from that one.
+        first, second = np.where(there, first, second), np.where(here, second, first)
         apart, darker = np.abs(first - second), np.minimum(first, second)
         found = np.where(apart < np.float32(_AGREE_DN), 0.5 * (first + second), darker)
-        size = np.minimum(apart, np.float32(_MOST_DN)) + np.minimum(np.abs(own - darker), np.float32(_MOST_DN))
-        size = box_mean(size.mean(0, keepdims=True), *_AROUND)[0]
+        missed = np.abs(own - darker)
+        size = np.minimum(np.where(there & here, apart, missed), np.float32(_MOST_DN))
+        size = box_mean((size + np.minimum(missed, np.float32(_MOST_DN))).mean(0, keepdims=True), *_AROUND)[0]
         better = size < least
         best, least = np.where(better, found, best), np.minimum(size, least)
     return Channels(best[:1], tuple(plane[None] for plane in best[1:]))
+
+
+def _inside(where: Float[np.ndarray, "a b 2"], shape: tuple[int, ...]) -> Bool[np.ndarray, "lines samples"]:
+    """Which samples of a plane have their place, given at every `_NODES_PX`-th, in the other step's image."""
+    size = np.array(shape)
+    near = np.all((where >= 0) & (where <= size - 1), -1)
+    i, j = (np.arange(length) // _NODES_PX for length in shape)
+    return near[i][:, j] & near[i + 1][:, j] & near[i][:, j + 1] & near[i + 1][:, j + 1]

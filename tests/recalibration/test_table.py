@@ -3,9 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.recalibration.table import check_angles
-from jaxscan.recalibration.table.steps import LostStep, lasting, say_jump
-from jaxscan.recalibration.table.walls import Equations, fit_steps
+from jaxscan.recalibration.lost_steps import Equations, LostStep, check_angles, fit_steps, lasting, say_jump
 from tests.recalibration.table_room import FURNITURE, knocked, paper_scanner, sweep
 
 

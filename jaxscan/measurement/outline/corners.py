@@ -14,10 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.geometry import Scanner
-from jaxscan.measurement.checked import is_known
 from jaxscan.measurement.outline.level import Frame
 from jaxscan.measurement.planes import Plane
-from jaxscan.measurement.samples import Places
+from jaxscan.measurement.samples import Places, is_known
 from jaxscan.measurement.systematic import Effects, effects_of
 from jaxscan.measurement.walls import Wall, wall_weights
 

@@ -14,7 +14,19 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.leastsq import Arrow, Cauchy, Covariance, covariance_of, keep_inliers, noise_component, robust_noise
 from jaxscan.recalibration.adjust.boards import BoardEquations, board_equations, prepare_boards, with_boards
-from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, learn_noise, shared_by_profiles
+from jaxscan.recalibration.adjust.errors import (
+    FIRST_WALL_M,
+    STOPS,
+    Noise,
+    Wall,
+    beside_shape,
+    find_walls,
+    learn_heights,
+    learn_noise,
+    learn_stops,
+    shared_by_profiles,
+    with_shape,
+)
 from jaxscan.recalibration.adjust.prepare import FIRST_STOP, HELD_STOP, Prepared, prepare
 from jaxscan.recalibration.adjust.room import (
     ANGLE_SCALE,
@@ -26,15 +38,6 @@ from jaxscan.recalibration.adjust.room import (
     linearise,
     solve,
     step_of,
-)
-from jaxscan.recalibration.adjust.wall_shape import (
-    STOPS,
-    Wall,
-    beside_shape,
-    find_walls,
-    learn_heights,
-    learn_stops,
-    with_shape,
 )
 from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservations, Surfaces
 from jaxscan.recalibration.result import Adjusted, Start

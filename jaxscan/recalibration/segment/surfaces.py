@@ -15,8 +15,7 @@ from jaxscan.geometry import Scanner, transform
 from jaxscan.measurement.planes import facing, weighted_plane
 from jaxscan.recalibration.grid import spread_over
 from jaxscan.recalibration.observed import SurfacePoints, Surfaces, SweepStripes
-from jaxscan.recalibration.segment.cells import cells_of
-from jaxscan.recalibration.segment.regions import Region, flat_regions
+from jaxscan.recalibration.segment.regions import Region, cells_of, flat_regions
 from jaxscan.recalibration.triangulate import triangulate_points
 
 
