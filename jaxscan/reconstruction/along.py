@@ -10,7 +10,7 @@ from numpy.lib.stride_tricks import sliding_window_view
 
 from jaxscan.reconstruction.ahead import Progress, map_ahead, workers
 from jaxscan.reconstruction.sweep import place
-from jaxscan.stripes import ProfileRows, ScatterLaw, Sites, Stripes, scatter_law, smooth_profiles
+from jaxscan.stripes import ProfileRows, ScatterLaw, Sites, Stripes, mosaic_wave, scatter_law, smooth_profiles
 
 
 _PROFILES = 32
@@ -46,17 +46,21 @@ def smooth_sweep(stripes: Stripes, sites: Mapping[int, Sites] = _ALL_LINES, prog
         sites: Where the colour of each laser is seen; on all lines where not given.
     """
     rows = ProfileRows(
-        np.asarray(stripes.u, np.float32),
+        np.array(stripes.u, np.float32),
         np.asarray(stripes.sigma, np.float32),
         np.asarray(stripes.valid),
         np.asarray(stripes.amplitude, np.float32),
     )
+    width = np.asarray(stripes.width, np.float32)
     found, done = SmoothedSweep(*(np.zeros(rows.u.shape, np.float32) for _ in SmoothedSweep._fields)), 0
     for laser in np.unique(np.asarray(stripes.laser)).tolist():
         # Noise and colour are those of a laser.
         own, seen = np.flatnonzero(np.asarray(stripes.laser) == laser), sites.get(laser, Sites())
         law = scatter_law(_taken(rows, own), seen.line_step)
-        width = np.asarray(stripes.width, np.float32)
+        wave = mosaic_wave(_taken(rows, own), law.correlation.near, seen.line_step)
+        if wave is not None:
+            rows.u[own] -= wave.error
+            law = scatter_law(_taken(rows, own), seen.line_step).with_mosaic(wave.left_px)
         blocks = [own[start : start + _PROFILES] for start in range(0, len(own), _PROFILES)]
         smooth = lambda block, law=law, seen=seen: _smooth(_taken(rows, block), width[place(block)], law, seen)
         for block, part in zip(blocks, map_ahead(smooth, blocks, workers()), strict=True):
