@@ -132,9 +132,9 @@ def extract(
             progress(int(sweep.record[batch.profiles[-1]]) + 1, len(sweep))
     if settings.check_steps:
         fields = pick_by_steps(fields, chosen, sweep.laser, sweep.angles[sweep.record])
-    found, notes = Decoys.joined(decoys), learned.notes
-    if len(found.profile) and len(fields["u"]) == len(sweep.record):
-        chance, accepted = judge_sweep(plan, fields, found)
+    every, notes = Decoys.joined(decoys), learned.notes
+    if len(every.profile) and len(fields["u"]) == len(sweep.record):
+        chance, accepted = judge_sweep(plan, fields, every)
         notes = (*notes, *([chance.note] if chance.note else []))
         if chance.least > 0.0:
             for field in fields.values():
