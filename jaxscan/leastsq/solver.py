@@ -66,7 +66,7 @@ class _State(eqx.Module):
 
     first: Bool[Array, ""]
     step: Unknowns
-    """From the last accepted point to the one that is evaluated next."""
+    """The step from the last accepted point to the one that is evaluated next."""
     y_eval: Any
     residuals: Any
     linear: Linear

@@ -114,7 +114,7 @@ class HeightMeasurement:
     points: tuple[int, int]
 
     def words(self) -> str:
-        """As people read it."""
+        """The measurement in words."""
         way = "higher" if self.value_m >= 0 else "lower"
         return f"the second is {way} by {length_words(abs(self.value_m), self.sigma_m)}, {_points_words(self.points)}"
 
@@ -210,14 +210,14 @@ class AngleMeasurement:
     """The angle between two flat patches of a cloud, with so many points each; its sigma is predicted."""
 
     value_deg: float
-    """On the side from which the patches were seen: 90 in the corner of a room, 180 where both are one plane."""
+    """Angle on the side from which they were seen: 90 in the corner of a room, 180 where both are one plane."""
     sigma_deg: float
     rms_m: tuple[float, float]
     """Root mean square distance of the points of either patch from its plane [m]."""
     points: tuple[int, int]
 
     def words(self) -> str:
-        """As people read it."""
+        """The measurement in words."""
         flat = " and ".join(f"{1e3 * rms:.2f}" for rms in self.rms_m)
         sigma = f"sigma {self.sigma_deg:.3f} degrees"
         return f"{self.value_deg:.3f} degrees, {sigma}, {_points_words(self.points)}, RMS {flat} mm"

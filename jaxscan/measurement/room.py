@@ -33,7 +33,7 @@ class Dimension:
     sigma_m: float
     sigma_random_m: float
     sigma_systematic_m: float
-    """From the covariance of the calibration [m]; 0 where it is not known."""
+    """The part from the covariance of the calibration [m]; 0 where it is not known."""
     rms_m: float
     points: int
     angle_deg: float

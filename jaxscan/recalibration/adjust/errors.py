@@ -33,7 +33,7 @@ class Noise(NamedTuple):
     """Noise of stripe centres on surfaces: variance = (stripe * given sigma)^2 + (wall / reach)^2."""
 
     stripe: float
-    """Over the given sigmas [1]."""
+    """Noise of stripes over the given sigmas [1]."""
     wall_m: float
     """Roughness [m]."""
 

@@ -449,7 +449,7 @@ class Verdict(NamedTuple):
     loosened: Float[np.ndarray, "params params"]
     """Variance that was added to the stored covariance."""
     adjusted: Adjusted
-    """With that prior."""
+    """The solve with that prior."""
     notes: tuple[str, ...] = ()
 
 

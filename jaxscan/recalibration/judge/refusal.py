@@ -124,7 +124,7 @@ def adjusted_scale(adjusted: Adjusted) -> float:
 
 
 def count_directions(surfaces: Surfaces) -> int:
-    """In how many directions planes face; opposite walls count once."""
+    """Number of directions in which planes face; opposite walls count once."""
     found: list[np.ndarray] = []
     for normal in surfaces.normal:
         if all(abs(normal @ other) < _SAME_DIRECTION for other in found):
