@@ -369,7 +369,7 @@ class TrueSweep(NamedTuple):
     """The truth of a sweep."""
 
     surface: np.ndarray
-    """Surface of each centre [profiles, lines]: -1 no surface; 0 ... 5 x0, x1, y0, y1, floor, ceiling; more for others."""
+    """Surface of each centre [profiles, lines]: -1 none; 0 ... 5 walls x0, x1, y0, y1, floor, ceiling; more: others."""
     point: np.ndarray
     """Room coordinates [profiles, lines, 3]; m."""
     centre: np.ndarray
