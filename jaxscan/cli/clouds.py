@@ -348,7 +348,8 @@ def _register_sweeps(sweeps: list[Path], calibration: Path, output: Path, out: T
     digest = calibration_files.calibration_digest(calibration)
     with progress_bar("Registering") as progress:
         # Their clouds take a sixth of the time.
-        stages = Stages(progress, (Stage(0.0, 5.0), Stage(1.0)))
+        records = float(sum(map(len, captures)))
+        stages = Stages(progress, (Stage(0.0, 5.0 * records), Stage(records)))
         adjusted, notes = api.register(captures, calibration, progress=stages.part(0))
         api.save_recalibrated_cloud(captures, adjusted, adjusted.scanner, output, calibration_digest=digest)
     out.notes([*calibration_files.calibration_notes(calibration), *notes])

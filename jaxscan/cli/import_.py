@@ -176,9 +176,15 @@ def _show(out: Terminal, plan: "ImportPlan", found: "ImportedHeader", laser_colo
     if (depth := found.kind.depth) is not None:
         levels = "" if camera.bits is None else f"{len(stripe_search.level_exposures(camera.bits))} levels of "
         out.print(f"  images of 16 bits hold {depth.said}; kept in {levels}8 bits")
-    red = laser_colour == "auto" and camera.pixel_format != "mono8" and not any(one.off for one in plan.records)
+    red = (
+        laser_colour == "auto"
+        and camera.pixel_format != "mono8"
+        and not any(one.on and one.off for one in plan.records)
+    )
     if red and plan.lasers:
-        out.print("  the laser counts as red: there is no laser-off image to learn from; otherwise --laser-colour")
+        out.print(
+            "  the laser counts as red: no laser-on image has a laser-off one to learn from; otherwise --laser-colour"
+        )
     if found.learned is not None:
         out.print(
             f"  response learned: {found.learned.response}, misfit {found.learned.misfit:.2g} codes; linear would "

@@ -7,7 +7,7 @@ from collections.abc import Iterable, Mapping
 from importlib.util import find_spec
 from pathlib import Path
 from types import MappingProxyType
-from typing import Annotated, Literal, NamedTuple
+from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
 from jaxscan.cli.help import Arg
 from jaxscan.cli.terminal import json_target
@@ -17,6 +17,8 @@ from jaxscan.files import capture as capture_files
 from jaxscan.files import disk
 from jaxscan.files.clouds import FORMATS
 from jaxscan.files.disk import COPY_FIRST, is_address
+from jaxscan.geometry.cameras.registry import MODELS
+from jaxscan.geometry.motion_kinds import MOTIONS
 from jaxscan.geometry.motion_kinds import Carries as Carries
 
 
@@ -47,25 +49,13 @@ CloudUp = Annotated[
 # Choices of other rooms, written out so that `--help` does not load them; a test compares them.
 Part = Literal["camera", "sheet", "axis"]
 RigKind = Literal["camera", "profile", "axis"]
-Block = Literal[
-    "focal",
-    "centre",
-    "radial",
-    "tangential",
-    "k3",
-    "rational",
-    "sphere",
-    "laser",
-    "bow",
-    "axis",
-    "gain",
-    "harmonics",
-    "travel",
-    "hand",
-    "warp",
-    "pitch",
-    "shape",
-]
+_LENSES = tuple(block for blocks in MODELS.values() for block in blocks)
+_MOTIONS = tuple(block for kind in MOTIONS.values() for block in kind.blocks)
+_BLOCKS = ("focal", "centre", *_LENSES, "laser", "bow", *_MOTIONS, "warp", "pitch", "shape")
+if TYPE_CHECKING:
+    Block = str
+else:
+    Block = Literal[tuple(dict.fromkeys(_BLOCKS))]
 Choice = Literal["path", "brightest", "nearest", "farthest", "all"]
 Smooth = Literal["off", "edge"]
 MIN_RANGE_M, MAX_RANGE_M = 0.05, 30.0

@@ -59,7 +59,8 @@ def scan(
         port: Serial port instead of the port in the configuration; "auto" takes the only controller there is.
         calibration: Calibration of the rig; with it points are counted during the scan.
         smooth: With --cloud: whether a point uses its neighbours along the stripe, as of `jaxscan reconstruct`.
-        place_command: With --boards: command that places the board; the number of the pose is appended to it.
+        place_command: With --boards: command that places the board; the number of the pose is appended to it,
+            and `none` at the end.
     """
     # Imported here, so that other verbs and `--help` load neither hardware drivers nor JAX.
     from scanrig.cameras import open_camera

@@ -54,7 +54,7 @@ class Covariance(NamedTuple):
     """The inverse of J'J, by blocks; NumPy. Unknowns that meet nothing have variance 1, and are independent."""
 
     information: Float[np.ndarray, "shared shared"]
-    """Of the shared unknowns, with all blocks free."""
+    """Information on the shared unknowns, with all blocks free."""
     shared: Float[np.ndarray, "shared shared"]
     coupling: Float[np.ndarray, "blocks own shared"]
     """How blocks follow the shared unknowns, with a minus."""

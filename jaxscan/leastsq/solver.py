@@ -91,7 +91,7 @@ class ArrowLM(optx.AbstractLeastSquaresSolver):
     norm: Any
     search: Any
     damping: Float[Array, ""]
-    """Of the first step, relative to the diagonal of J'J."""
+    """Damping of the first step, relative to the diagonal of J'J."""
 
     def init(
         self, fn: Any, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: frozenset[object]

@@ -40,7 +40,7 @@ class Places(NamedTuple):
     number: np.ndarray
     pose: np.ndarray
     covariance: np.ndarray
-    """Of a step (translation [m], rotation [rad]) in the station's own frame [stations, 6, 6]."""
+    """Covariance of a step (translation [m], rotation [rad]) in the station's own frame [stations, 6, 6]."""
 
 
 class Samples(NamedTuple):
@@ -172,7 +172,7 @@ class CloudSamples:
         return self._of(np.flatnonzero(self._valid))
 
     def chosen(self, choose: Callable[[Samples], np.ndarray]) -> np.ndarray:
-        """Numbers of the points for which a rule says True [n], in order."""
+        """Numbers of the points for which a rule is True [n], in order."""
         parts, start = [], 0
         for block in self.blocks():
             parts.append(start + np.flatnonzero(choose(block)))
@@ -346,7 +346,7 @@ def checked_samples(cloud: Cloud) -> CloudSamples:
         known |= bool((sigma[seen] > 0).any())
     if not (finite and known):
         raise MeasurementError(
-            "The cloud has no sigmas, so nobody knows how uncertain a measured number is; a cloud of jaxscan "
+            "The cloud has no sigmas, so the uncertainty of a measured number is unknown; a cloud of jaxscan "
             "reconstruct is needed, as .ply or .npz."
         )
     return samples

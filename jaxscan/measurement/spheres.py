@@ -38,7 +38,7 @@ class SphereFit(NamedTuple):
     centre: np.ndarray
     radius: float
     covariance: np.ndarray
-    """Of centre, and of the radius where it is free, by the noise of the stripes [3 or 4, 3 or 4], m^2."""
+    """Covariance of centre, and of a free radius, by the noise of the stripes [3 or 4, 3 or 4], m^2."""
     members: Samples
     normal: np.ndarray
     residual: np.ndarray

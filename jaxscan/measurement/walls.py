@@ -108,7 +108,7 @@ its side of the room; smaller planes are things behind a door."""
 NARROW = 0.05
 """A wall is at least this wide across its longest extent, in units of it: points of one line lie on any plane."""
 BEYOND, BEYOND_M = 0.2, 0.1
-"""Of all points at most this share is farther than this [m] behind a wall, seen through its openings; with more the
+"""At most this share of all points is farther than this [m] behind a wall, seen through its openings; with more the
 room goes on behind it."""
 SYSTEMATIC_POINTS = 2000
 """Points per wall on which the effect of the calibration is evaluated."""

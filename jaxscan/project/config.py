@@ -2,20 +2,24 @@
 
 from datetime import date
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import TYPE_CHECKING, Annotated, Literal
 
 import pydantic
 
+from jaxscan.files.clouds import FORMATS
 from jaxscan.files.disk import COPY_FIRST, FileModel, Integer, is_address, load_toml
 
 
 Product = Literal["cloud", "measures", "mesh", "plan", "panorama", "report"]
-Format = Literal["ply", "npz", "e57", "las", "laz", "pcd", "xyz", "ptx"]
+if TYPE_CHECKING:
+    Format = str
+else:
+    Format = Literal[tuple(suffix.removeprefix(".") for suffix in FORMATS)]
 Merged = Literal["e57", "plan"]
 MOST_PARTS = 10_000
 """Rigs, patterns and groups of a project."""
 _Products = Annotated[tuple[Product, ...], pydantic.Field(min_length=1, max_length=6)]
-_Formats = Annotated[tuple[Format, ...], pydantic.Field(min_length=1, max_length=8)]
+_Formats = Annotated[tuple[Format, ...], pydantic.Field(min_length=1, max_length=len(FORMATS))]
 Name = Annotated[str, pydantic.Strict(), pydantic.Field(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,63}$")]
 
 

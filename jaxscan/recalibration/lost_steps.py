@@ -2,10 +2,11 @@
 
 With the right angles points lie on few walls. Walls are flat patches of the grid [profile, line], found with a
 tolerance that a lost step does not break; their points give equations for the angles of the records, in which a step
-stands out.
+stands out. A large one breaks walls, and is proposed by the turn between the normals before and behind a place too:
+only both together find several large steps.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -144,7 +145,7 @@ class Equations(NamedTuple):
         return np.linalg.solve(n.T @ n + np.diag(weight), n.T @ self.error + weight * self.mean)
 
     def covariance(self) -> Float[np.ndarray, "unknowns unknowns"]:
-        """Of the unknowns."""
+        """Covariance of the unknowns."""
         normal = self.nuisance.T @ self.nuisance + np.diag(1.0 / self.sigma**2)
         scale = np.sqrt(np.diag(normal))
         return np.linalg.inv(normal / np.outer(scale, scale)) / np.outer(scale, scale)
@@ -156,7 +157,7 @@ class StepTest(NamedTuple):
     size: Float[np.ndarray, " records"]
     """Angle by which this and all later records stand ahead of their angle [rad]."""
     sigma: Float[np.ndarray, " records"]
-    """Its standard deviation; infinite where nothing tells it [rad]."""
+    """Its standard deviation; infinite where the data do not determine it [rad]."""
     left: Float[np.ndarray, " rows"]
 
 
@@ -188,7 +189,7 @@ def _backwards(values: np.ndarray, record: np.ndarray, records: int) -> np.ndarr
 
 
 PROFILES, LINES = 240, 30
-"""Of the grid of each laser on which patches are found."""
+"""Size of the grid of each laser on which patches are found."""
 FLOOR = 1e-4
 """Standard deviation of a point from its wall, beside noise, as a part of its range."""
 HARMONICS = 3
@@ -200,11 +201,11 @@ GAIN, WAVES = 1e-3, 7e-4
 FEW_POINTS, FEW_LINES = 6_000, 15
 """With which the rig is refined."""
 MOST_COST = 25.0
-"""Of one point in `truncated_cost`."""
+"""Largest cost of one point in `truncated_cost`."""
 ROBUST = 4.0
 """Sigmas at which the weight of a point is a quarter."""
 MOST_SHIFT = 300.0
-"""Of a stripe onto its wall, in sigmas."""
+"""Largest shift of a stripe onto its wall, in sigmas."""
 
 
 class Rig(NamedTuple):
@@ -299,6 +300,15 @@ def label_points(sample: Sample, theta: Float[np.ndarray, " records"]) -> Int[np
     return label
 
 
+def _walls(x: np.ndarray, label: Int[np.ndarray, " points"]) -> Iterator[tuple[Plane, Bool[np.ndarray, " points"]]]:
+    """The plane of each wall that has one, and which points are on the wall."""
+    for wall in range(int(label.max(initial=-1)) + 1):
+        on = label == wall
+        plane = robust_plane(x[on])
+        if plane is not None:
+            yield plane, on
+
+
 def wall_equations(
     sample: Sample,
     label: Int[np.ndarray, " points"],
@@ -318,12 +328,8 @@ def wall_equations(
     count = int(wall.max(initial=-1)) + 1
     error, sigma, lever, shift = np.zeros(len(order)), np.ones(len(order)), np.zeros(len(order)), np.zeros(len(order))
     own, normals = np.zeros((len(order), 3 * count)), np.zeros((len(order), 3))
-    for k in range(count):
-        on = wall == k
-        plane = robust_plane(x[on])
-        if plane is None:
-            continue
-        m = plane.normal
+    for plane, on in _walls(x, wall):
+        m, k = plane.normal, wall[np.argmax(on)]
         normals[on] = m
         error[on] = plane.distance - x[on] @ m
         # Derivatives are taken at the point moved onto the wall: otherwise shrinking the room would also shrink the
@@ -369,7 +375,7 @@ def _refined(rig: Rig, walls: Equations) -> Rig:
 
 
 def iterate_fit(sweep: SweepStripes, rig: Rig, times: int, points: int = FEW_POINTS) -> Rig:
-    """The rig after some steps of least squares, with few points if nothing else is said."""
+    """The rig after some steps of least squares, with few points by default."""
     for _ in range(times):
         sample = take_sample(sweep, rig.scanner, points // FEW_LINES, points)
         label = label_points(sample, rig.theta)
@@ -385,12 +391,9 @@ def truncated_cost(sweep: SweepStripes, rig: Rig) -> tuple[float, int]:
     label = label_points(sample, rig.theta)
     x, noise = sample.turned(rig.theta)
     square = np.full(len(x), MOST_COST)
-    for k in range(int(label.max(initial=-1)) + 1):
-        on = label == k
-        plane = robust_plane(x[on])
-        if plane is not None:
-            sigma = np.hypot(noise[on] @ plane.normal, FLOOR * np.linalg.norm(x[on], axis=1))
-            square[on] = np.minimum(((x[on] @ plane.normal - plane.distance) / sigma) ** 2, MOST_COST)
+    for plane, on in _walls(x, label):
+        sigma = np.hypot(noise[on] @ plane.normal, FLOOR * np.linalg.norm(x[on], axis=1))
+        square[on] = np.minimum(((x[on] @ plane.normal - plane.distance) / sigma) ** 2, MOST_COST)
     return float(square.sum()), len(label)
 
 
@@ -503,21 +506,27 @@ PLAIN_BREAK = np.deg2rad(1.0)
 
 
 def find_steps(sweep: SweepStripes, start: Rig) -> Rig:
-    """The rig with the steps that its walls show, one after another: those that bend walls, then those that break them.
-
-    Beside a robust fit a large step looks like furniture; without one it stands out.
-    """
+    """The rig with the steps that its walls show, one after another: those that break walls, then the small ones."""
     rig = iterate_fit(sweep, start, 3)
+    vain: list[int] = []
     while len(rig.steps) < MOST_JUMPS:
-        for robust in (True, False):
-            place = _stands_out(sweep, rig, robust)
-            tried = rig if place is None else _with_step(sweep, start, rig, place)
-            plain = robust and tried is not rig and abs(tried.steps[-1][1]) <= PLAIN_BREAK
-            if plain or (tried is not rig and _brings_points(sweep, rig, tried)):
-                rig = tried
-                break
-        else:
+        # A large step divides walls, and no linear equation gives its size: breaks are tried one by one.
+        known = [*vain, *(record for record, _ in rig.steps)]
+        breaks = [place for place in propose_steps(sweep, rig) if _is_far(place[0], known)]
+        found = _best(sweep, rig, [_with_step(sweep, start, rig, place) for place in breaks])
+        if found is None:
+            vain += [record for record, _ in breaks]
+            small = _stands_out(sweep, rig, robust=True)
+            found = None if small is None else _with_step(sweep, start, rig, small)
+            if found is not None and abs(found.steps[-1][1]) > PLAIN_BREAK:
+                found = _best(sweep, rig, [found])
+        if found is None:
+            large = _stands_out(sweep, rig, robust=False)
+            found = None if large is None else _best(sweep, rig, [_with_step(sweep, start, rig, large)])
+        if found is None:
             break
+        # With one step known, a break that was rejected before may be accepted.
+        rig, vain = found, []
     return iterate_fit(sweep, _begin(start, rig.steps), LAST_TIMES, MANY_POINTS) if rig.steps else rig
 
 
@@ -541,6 +550,10 @@ def _begin(start: Rig, steps: tuple[tuple[int, float], ...]) -> Rig:
     return start._replace(theta=theta, steps=steps)
 
 
+def _is_far(record: int, others: list[int]) -> bool:
+    return all(abs(record - other) > NEIGHBOURS for other in others)
+
+
 def _stands_out(sweep: SweepStripes, rig: Rig, robust: bool) -> tuple[int, float] | None:
     """The record and size of the step that most stands out of the errors; None where none does."""
     sample = take_sample(sweep, rig.scanner, MOST_PROFILES, MOST_POINTS)
@@ -552,7 +565,7 @@ def _stands_out(sweep: SweepStripes, rig: Rig, robust: bool) -> tuple[int, float
 
 
 def _with_step(sweep: SweepStripes, start: Rig, rig: Rig, place: tuple[int, float]) -> Rig:
-    """The rig with one more step, settled, at the record that its points tell."""
+    """The rig with one more step, after the fit has converged, at the record that its points determine."""
     steps = (*rig.steps, place)
     for times in PLACED:
         # With the step corrected, walls are whole across it, and give its size and then its record.
@@ -567,12 +580,14 @@ def _with_step(sweep: SweepStripes, start: Rig, rig: Rig, place: tuple[int, floa
     return more._replace(theta=theta, steps=steps)
 
 
-def _brings_points(sweep: SweepStripes, rig: Rig, tried: Rig) -> bool:
-    """Whether one more step of a possible size brings clearly more points to walls."""
-    if abs(tried.steps[-1][1]) >= MOST_STEP:
-        return False
+def _best(sweep: SweepStripes, rig: Rig, tried: list[Rig]) -> Rig | None:
+    """The rig with one more step that brings the most points to walls, if clearly more than without the step."""
+    if not tried:
+        return None
     before, points = truncated_cost(sweep, rig)
-    return before - truncated_cost(sweep, tried)[0] > LEAST_GAIN * points
+    costs = [truncated_cost(sweep, one)[0] if abs(one.steps[-1][1]) < MOST_STEP else np.inf for one in tried]
+    best = int(np.argmin(costs))
+    return tried[best] if before - costs[best] > LEAST_GAIN * points else None
 
 
 def inflation(rows: Equations, left: Float[np.ndarray, " rows"], records: int) -> float:
@@ -598,10 +613,67 @@ def inflation(rows: Equations, left: Float[np.ndarray, " rows"], records: int) -
     return worst
 
 
+LEAST_BREAK = np.deg2rad(0.35)
+"""Smaller breaks are lost in the noise of normals, and found by their least squares."""
+BREAK_TILT = np.deg2rad(1.5)
+"""Difference of the tilts of the parts of a wall before and behind a break, at most."""
+LEAST_LINES = 5
+"""On which the wall is seen on both sides."""
+APART, MOST_BREAKS = 6, 3
+"""Cells between two breaks that are proposed, and how many are."""
+
+
+def propose_steps(sweep: SweepStripes, rig: Rig) -> list[tuple[int, float]]:
+    """Records at which walls break by a turn about the axis, and that turn [rad], the largest first.
+
+    Normals before and behind a place are compared line by line, and their median is taken. The edge of a cupboard
+    breaks a wall too: every proposal has to be tried.
+    """
+    sample = take_sample(sweep, rig.scanner, PROFILES, PROFILES * LINES)
+    own = np.flatnonzero(sample.laser == sample.laser[0])
+    records, row = np.unique(sample.record[own], return_inverse=True)
+    if len(records) < 4 * HALF + 2:
+        return []
+    shape = (len(records), int(sample.column.max()) + 1)
+    x, noise, valid = np.zeros((*shape, 3)), np.zeros((*shape, 3)), np.zeros(shape, bool)
+    cells = row, sample.column[own]
+    (x[cells], noise[cells]), valid[cells] = (field[own] for field in sample.turned(rig.theta)), True
+    size = _breaks(x, noise, valid)
+    found: list[tuple[int, float]] = []
+    left = np.abs(size)
+    while len(found) < MOST_BREAKS and left.max() > LEAST_BREAK:
+        cell = int(np.argmax(left))
+        found.append((int(records[cell]), float(size[cell])))
+        left[max(cell - APART, 0) : cell + APART + 1] = 0.0
+    return found
+
+
+def _breaks(x: np.ndarray, noise: np.ndarray, valid: np.ndarray) -> Float[np.ndarray, " profiles"]:
+    """The turn that makes one wall of its parts before each profile and from it on; 0 where there are none [rad]."""
+    normal, flat = flat_windows(x, noise, valid)
+    upright = np.hypot(normal[..., 0], normal[..., 1])
+    distance, size = np.sum(normal * x, axis=-1), np.linalg.norm(x, axis=-1)
+    # Windows end at the place, and begin at it.
+    first, second = np.s_[: -2 * HALF - 1], np.s_[2 * HALF + 1 :]
+    turned, tilt = fold(normal[first], normal[second])
+    same = (
+        flat[first]
+        & flat[second]
+        & (np.minimum(upright[first], upright[second]) > 0.5)
+        & (np.abs(turned) < FOLD)
+        & (np.abs(tilt) < BREAK_TILT)
+        & (np.abs(distance[first] - distance[second]) < SAME * np.maximum(size[first], size[second]))
+    )
+    breaks = np.zeros(len(flat))
+    for profile in np.flatnonzero(np.count_nonzero(same, axis=1) >= LEAST_LINES):
+        breaks[profile + HALF + 1] = np.median(turned[profile][same[profile]])
+    return breaks
+
+
 NEIGHBOURS = 10
 """Records on each side of a step that was found in which it is sought once more."""
 AROUND = np.deg2rad(20.0)
-"""Turn on each side of a step in which the walls are fitted by which its record is told."""
+"""Turn on each side of a step in which the walls are fitted that determine its record."""
 LEAST_POINTS = 12
 """On a wall there."""
 MANY_LINES = 120
@@ -631,7 +703,7 @@ def _place_step(sweep: SweepStripes, rig: Rig, number: int) -> tuple[int, int, i
     if not walls or len(near.x) == 0:
         return record, record, record
     change = np.bincount(near.record - low, _costs(near, before, walls) - _costs(near, after, walls), high - low)
-    # Of a step at `low`, low + 1 ... high: all records from there on stand as after it.
+    # The cost of a step at `low`, low + 1 ... high: all records from there on stand as after it.
     cost = np.concatenate([[0.0], np.cumsum(change)])
     best = int(np.argmin(cost))
     possible = np.flatnonzero(cost < cost[best] + UNSURE)

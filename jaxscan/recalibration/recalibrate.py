@@ -91,10 +91,10 @@ def recalibrate(
     are found again, and the result is judged: drift, gain, planes that were held out.
 
     Args:
-        sweeps: Stripes of each sweep; their `station` tells from where each was taken.
+        sweeps: Stripes of each sweep; `station` is the place that it was taken from.
         stored: Its covariance is the prior; nothing in it is changed.
-        settings: Of the recalibration.
-        given: Beside the sweeps: tracks, known lengths, boards, places of stations.
+        settings: How the sweeps are used.
+        given: What is known beside the sweeps: tracks, lengths, boards, places of stations.
         progress: Called with (stages done, stages in all).
 
     Returns:
@@ -114,7 +114,7 @@ def recalibrate(
     doubts = check_lengths(observed, job.turned(), job.stored, loose)
     if doubts:
         _check_without(job, observed, start, doubts[0])
-    # Of this first solve only the scanner and the stations are used.
+    # Only the scanner and the stations of this first solve are used.
     rough = adjust(loose, job.start(job.stored), observed, job.settings)
     done()
     start = job.start(rough.scanner, rough.stations)
@@ -148,7 +148,7 @@ def register(
     Arguments are those of `recalibrate`.
 
     Raises:
-        CalibrationError: If nothing can be adjusted, as of `recalibrate`, or no wall is flat.
+        CalibrationError: If nothing can be adjusted (as in `recalibrate`), or no wall is flat.
     """
     done = _counter(progress, _REGISTERED)
     job = _begin(sweeps, stored, settings, given, done)
@@ -220,7 +220,7 @@ def _check_without(job: _Job, observed: RoomObservations, start: Start, doubt: s
 
 
 def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Recalibration:
-    """Everything that is said of a solve."""
+    """The result of a solve, with its verdicts."""
     stored, adjusted = job.stored, verdict.adjusted
     names = stored.parameter_names()
     prior = judge.with_covariance(stored, np.asarray(stored.covariance) + verdict.loosened)

@@ -62,7 +62,7 @@ class Plane(NamedTuple):
         """Depth and colours of the points that rays [tiles, side^2] meet, float32.
 
         Args:
-            rays: Of square tiles, row by row.
+            rays: Rays of square tiles, row by row.
             weights: [3, channels], of R, G, B.
             lit: In the first channels stands a picture in the scene's light, in the others the albedo.
             share: That of the lamp's light which arrives; see `shadow`.
@@ -264,7 +264,7 @@ def points_at(
     """Points that pixels see, float32 [..., 3], scanner frame; the camera's place where nothing is.
 
     Args:
-        depth: Of all pixels [height, width].
+        depth: Depth of all pixels [height, width].
     """
     far = depth[index]
     reached = np.where(np.isfinite(far), far, np.float32(0))[..., None]

@@ -40,7 +40,7 @@ def console(
         calibration: Calibration of the rig; with it the cloud grows during the scan. Without it the newest good one of
             this rig in the folder or beside it.
         port: Serial port instead of the port in the configuration; "auto" takes the only controller there is.
-        place_command: Command that places the board; the number of the pose is appended to it.
+        place_command: Command that places the board; the number of the pose is appended to it, and `none` at the end.
         host: Name or number of this machine at which the page is served. Everybody needs the token of the address that
             is printed.
         web_port: TCP port of the page; 0 for any that is free.

@@ -116,7 +116,7 @@ def _squares(low: np.ndarray, high: np.ndarray) -> tuple[tuple[int, int], np.nda
 
 
 def _codes(p: np.ndarray, lines: list[Line]) -> np.ndarray:
-    """One number per point [n, 2]: bit k says that it is before line k, on the side of its normal."""
+    """One number per point [n, 2]: bit k is set where it is before line k, on the side of its normal."""
     codes = np.zeros(len(p), np.int64)
     for k, line in enumerate(lines):
         codes |= (p @ line.normal > line.distance).astype(np.int64) << k
@@ -295,7 +295,7 @@ def is_within(loops: list[np.ndarray], p: np.ndarray) -> np.ndarray:
 
 
 def distance_to(start: np.ndarray, end: np.ndarray, p: np.ndarray) -> np.ndarray:
-    """Of points [n, 2] from the stretch between two [2] [n], m."""
+    """Distances of points [n, 2] from the stretch between two points [2] [n], m."""
     length = np.linalg.norm(end - start)
     along = (end - start) / length
     s = np.clip((p - start) @ along, 0.0, length)

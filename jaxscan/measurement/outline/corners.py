@@ -64,7 +64,7 @@ class Corner(NamedTuple):
     surfaces: tuple[Surface, Surface, Surface]
 
     def effects(self, gradient: np.ndarray) -> list[tuple[Surface, np.ndarray]]:
-        """Of each surface the weights [3] of (offset, slopes) in a number that has this gradient [3] by the corner."""
+        """Weights [3] of each surface's (offset, slopes) in a number that has this gradient [3] by the corner."""
         shares = np.linalg.solve(np.stack([surface.plane.normal for surface in self.surfaces]).T, gradient)
         return [
             (surface, share * surface.plane.height_weights(self.at))

@@ -123,7 +123,7 @@ class RoomOutline:
         return area_of(self.corners(), -self.floor.plane.normal, self.errors)
 
     def wall_area(self, loop: int, side: int) -> Estimate | None:
-        """Of one side from floor to ceiling, openings included [m^2]; None where it is not bounded."""
+        """Area of one side from floor to ceiling, openings included [m^2]; None where it is not bounded."""
         length = self.lengths()[loop][side]
         if self.ceiling is None or length is None:
             return None
@@ -370,7 +370,7 @@ MOST = 2
 def clear_distances(room: RoomOutline, height: float) -> list[tuple[np.ndarray, np.ndarray, Estimate]]:
     """The distances of the opposite walls with most between them, at a height above the floor [m].
 
-    Of each direction the two ends [3], m, a third of the way along what both walls share, and the distance.
+    Gives, for each direction, both ends [3], m, a third of the way along what both walls share, and the distance.
     """
     level = room.floor.raised(height)
     sides = [

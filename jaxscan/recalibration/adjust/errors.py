@@ -30,7 +30,7 @@ _CERTAIN = 2.5
 
 
 class Noise(NamedTuple):
-    """Of centres of stripes on surfaces: variance = (stripe * given sigma)^2 + (wall / reach)^2."""
+    """Noise of stripe centres on surfaces: variance = (stripe * given sigma)^2 + (wall / reach)^2."""
 
     stripe: float
     """Over the given sigmas [1]."""

@@ -156,7 +156,7 @@ class State:
 
     @cached_property
     def covariance(self) -> Covariance:
-        """Of the unknowns, if this is the minimum."""
+        """Covariance of the unknowns, if this is the minimum."""
         return covariance_of(self.shaped[0])
 
     @property
@@ -399,7 +399,7 @@ def _ratios(after: State, before: State) -> tuple[float, ...]:
 
 
 def _board_noise(state: State) -> np.ndarray:
-    """Of corners and of stripes, and how many of these share one error; of no captured boards, nothing."""
+    """Noise of corners and of stripes, and how many stripe points share one error; empty without captured boards."""
     if state.boards is None:
         return np.zeros(0)
     result = state.boards.result

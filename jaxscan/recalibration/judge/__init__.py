@@ -1,4 +1,4 @@
-"""The gain of an adjustment, whether the rig has drifted, and whether the update can be believed."""
+"""The gain of an adjustment, whether the rig has drifted, and whether the update is accepted."""
 
 from jaxscan.recalibration.judge.drift import (
     Verdict,

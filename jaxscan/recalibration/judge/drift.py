@@ -16,7 +16,6 @@ from itertools import combinations
 from typing import NamedTuple
 
 import equinox as eqx
-import jax
 import numpy as np
 from jaxtyping import Float
 
@@ -46,7 +45,7 @@ class Compared(NamedTuple):
     direction: Float[np.ndarray, "params directions"]
     """Steps of one standard deviation of the prior, as columns; best known after last."""
     whiten: Float[np.ndarray, "directions params"]
-    """Of a step: its part in each direction, in units of the prior's standard deviation."""
+    """Takes a step to its part in each direction, in units of the prior's standard deviation."""
     ratio: Float[np.ndarray, " directions"]
     """Variance after over that before [1]."""
 
@@ -85,7 +84,7 @@ def with_prior(
 
 
 NAMES = ("radial scale", "height scale")
-# More points say nothing new.
+# More points add nothing.
 _POINTS = 512
 
 
@@ -530,7 +529,7 @@ def _notes(found: Explanation, known: bool) -> tuple[str, ...]:
     return tuple(told)
 
 
-# A change whose chance variance is a smaller share of the prior's says nothing.
+# A change is not tested where its variance by chance is a smaller share of the prior's.
 _TOLD = 1e-6
 
 
@@ -548,7 +547,7 @@ def moved_parameters(
     kept = (compared.direction * (1.0 - compared.ratio)) @ compared.whiten
     prior = compared.prior - loosened
     chance = kept @ prior @ kept.T + kept @ compared.posterior
-    before, sigma = start_values(stored), np.sqrt(np.maximum(np.diag(prior), 0.0))
+    before, sigma = stored.values(), np.sqrt(np.maximum(np.diag(prior), 0.0))
     after = np.sqrt(np.maximum(np.diag(compared.posterior), 0.0))
     found = []
     for i, name in enumerate(stored.parameter_names()):
@@ -559,17 +558,3 @@ def moved_parameters(
             told = (float(sigma[i]), float(after[i]), float(size), *unit_of(name))
             found.append(Moved(name, value, value + float(step[i]), *told))
     return tuple(found)
-
-
-def start_values(stored: Scanner) -> Float[np.ndarray, " params"]:
-    """Values of the minimal coordinates of the stored scanner; 0 for tangent vectors, which are steps from it."""
-    with jax.enable_x64(True):
-        camera = np.asarray(stored.camera.parameters(), np.float64)
-    sheets = [
-        np.concatenate([np.zeros(2), [float(stored.lasers.distance[i])], np.asarray(stored.lasers.bow[i])])
-        for i in range(len(stored.laser_names))
-    ]
-    table = stored.turntable
-    angles = [np.zeros(4), [float(table.gain)], np.asarray(table.harmonics)] if isinstance(table, Turntable) else []
-    found = np.concatenate([camera, *sheets, *angles])
-    return np.pad(found, (0, len(stored.parameter_names()) - len(found)))

@@ -25,7 +25,7 @@ _STEP_M = 2e-3
 """Height of a step that no flat wall has [m]."""
 _SIGMAS = 5.0
 _ROUGH_M, _SHARED = 5e-4, 9.0
-"""Roughness of walls [m], and factor on the variance for errors that neighbours share, that are believed at most."""
+"""Roughness of walls [m], and factor on the variance for errors that neighbours share; the largest accepted ones."""
 _LOST = 0.3
 """Share of points that were left out from which a surface is no plane."""
 _FEWEST = 12
@@ -158,7 +158,7 @@ def _in_plane(p: np.ndarray, normal: np.ndarray) -> np.ndarray:
 Fitting = Callable[[RoomObservations], Adjusted]
 # Points of one mean: so few that a wall has many, so many that noise is small beside a bend.
 _BLOCK = 40
-# A plane with fewer blocks than unknowns and some more says nothing.
+# A plane needs a few more blocks than it has unknowns.
 _LEAST_BLOCKS = 6
 # Smallest singular value of the normals of planes that place a station.
 _LEAST_SPREAD = 0.3
@@ -245,7 +245,7 @@ def flatness(
 
 
 def _distances(place: Float[np.ndarray, "n 3"]) -> Float[np.ndarray, " n"]:
-    """Of points from the plane through them, positive away from the origin [m]."""
+    """Distances of points from the plane through them, positive away from the origin [m]."""
     plane = weighted_plane(place, np.ones(len(place)))
     return np.asarray((place - plane.centre) @ facing(plane, plane.centre).normal)
 
@@ -301,9 +301,9 @@ def panorama_of(
 
 
 RADIUS_M = 2.5
-"""Distance from the axis at which the gap is told [m]."""
+"""Distance from the axis at which the gap is reported [m]."""
 _TURN = 2.0 * np.pi
-# Fewer points of a plane say nothing of its direction.
+# Fewer points of a plane do not determine its direction.
 _LEAST_PASS = 30
 # A point of the room that is seen again after this turn closes it [rad].
 _NEARLY = np.radians(350.0)

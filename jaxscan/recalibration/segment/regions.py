@@ -105,7 +105,7 @@ def _cells(sweep: SweepStripes, scanner: Scanner, laser: int) -> Cells:
 
 
 def _unknowns(block: tuple[int, int]) -> int:
-    """Of a straight line through a block: a level, and a slope in each direction that has several stripes."""
+    """Unknowns of a straight line through a block: a level, and a slope along each axis that has several stripes."""
     return 1 + (block[0] > 1) + (block[1] > 1)
 
 
@@ -389,7 +389,7 @@ class Region(NamedTuple):
 
 
 def flat_regions(cells: Cells, scanner: Scanner) -> list[Region]:
-    """All flat regions of a grid, the largest first; the scanner's covariance says how far it may bend a flat wall."""
+    """All flat regions of a grid, the largest first; the scanner's covariance limits how far it bends a flat wall."""
     around, bend = surroundings(cells), bending(scanner, cells)
     place = np.cumsum(cells.valid.ravel()) - 1
     part = smooth_parts(cells.p, around.normal, around.even, 4.0 * around.sigma + _STEP_M / 2, _TURN)

@@ -192,7 +192,7 @@ def _join(pieces: Sequence[Piece]) -> Int[np.ndarray, " pieces"]:
 
 
 def _same(a: Piece, b: Piece) -> tuple[bool | None, float]:
-    """Whether two pieces are one surface (None: it cannot be said), and a rank: the surest first."""
+    """Whether two pieces are one surface (None: undecided), and a rank: the surest first."""
     away = np.linalg.norm(a.points[:, None] - b.points[None], axis=-1)
     i, j = np.unravel_index(np.argmin(away), away.shape)
     gap = float(away[i, j])
