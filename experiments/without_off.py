@@ -108,7 +108,7 @@ class Seen(NamedTuple):
 
     @classmethod
     def of(cls, config: dict[str, Any], seed: int, steps: int) -> "Seen":
-        """Of a room and a seed."""
+        """Simulate a sweep of a room, with the noise of a seed."""
         spec, rng = SimulationConfig(**config), np.random.default_rng(seed)
         expected = list(itertools.islice(expect_sweep(spec), steps))
         pairs = [develop(one, spec, rng) for one in expected]
@@ -137,7 +137,7 @@ def demo(pixel_format: str, peak_dn: float) -> dict[str, Any]:
 
 
 def share(part: np.ndarray, whole: np.ndarray) -> float:
-    """Of the marked ones [1]."""
+    """Part of the marked ones [1]."""
     return np.count_nonzero(part) / max(np.count_nonzero(whole), 1)
 
 

@@ -26,9 +26,9 @@ from jaxscan.simulation import SimulationConfig
 SEEDS = (11, 20)
 """First and last seed that are judged; 1 to 3 were used while building."""
 CONTRASTS = (0.2, 0.45, 0.6)
-"""Of the laser's light on one pixel [1]; 0.6 is all that a lens at f/4 and pixels of 3.45 um leave."""
+"""Contrasts of the laser's light on one pixel [1]; 0.6 is all that a lens at f/4 and pixels of 3.45 um leave."""
 PEAKS_DN, WHITE_DN = (12.0, 120.0), 20.0
-"""Of the stripe on walls, by the seed, and of white paper in the dim light of a sweep [DN]: faint stripes are in it."""
+"""Peaks of the stripe on walls, by the seed, and white paper in the dim light of a sweep [DN]: faint stripes occur."""
 F_NUMBER, STEPS, FREE_VIEWS = 4.0, 40, 12
 HONEST = (0.9, 1.15)
 LEAST_DUE = 500

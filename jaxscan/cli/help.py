@@ -37,7 +37,7 @@ class Entry(NamedTuple):
     choices: tuple[str, ...] = ()
     required: bool = False
     kind: type = str
-    """Of one value."""
+    """Type of one value."""
     many: int | None = 1
     """How many values there are; None for any number of them."""
     unshown: tuple[str, ...] = ()

@@ -54,6 +54,12 @@ class RoomBox:
     remarks: tuple[str, ...] = ()
     """Why dimensions are left out, where planes were found for them: parts of a sentence."""
 
+    @property
+    def sides(self) -> dict[str, Dimension]:
+        """The dimensions that were found, by name."""
+        named = {"length": self.length, "width": self.width, "height": self.height}
+        return {name: side for name, side in named.items() if side is not None}
+
 
 def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0) -> RoomBox:
     """Measure a room from wall to wall.
