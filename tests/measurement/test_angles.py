@@ -54,7 +54,7 @@ def test_what_hangs_on_a_wall_does_not_turn_it():
 def test_two_profiles_on_a_wall_and_two_on_a_picture_are_refused():
     """Through any two profiles goes a plane: through one on the wall and one on the picture a slanted one."""
     # Profiles are 0.1 m apart.
-    hung = wall_cloud(lambda y, z: 2.1 - 0.03 * (y > 0.4), shape=(21, 100))
+    hung = wall_cloud(lambda y, z: 2.1 - 0.03 * (y > 0.35), shape=(21, 100))
     with pytest.raises(MeasurementError, match="profiles within"):
         measure_angle(hung, A, [2.1, 0.38, 0.0], radius_m=0.19)
 
