@@ -116,9 +116,9 @@ def figures_of(contrast: float, worlds: list[dict[str, Any]]) -> list[Figure]:
             out.append(Figure(f"sweep: rows found, {label}", found / due, "1"))
             out.append(Figure(f"sweep: rows found less plain's, {label}", (found - other) / due, "1", low=-0.005))
     for name in names:
-        middle = float(np.nanmedian([np.nan, *each(ours, "smooth", "classes", name, "stated_over_true")]))
-        if np.isfinite(middle):
-            out.append(Figure(f"sweep, {name} DN: stated / true, median", middle, "1", 0.9, 1.1))
+        stated = each(ours, "smooth", "classes", name, "stated_over_true")
+        if np.isfinite(stated).any():
+            out.append(Figure(f"sweep, {name} DN: stated / true, median", float(np.nanmedian(stated)), "1", 0.9, 1.1))
     out.append(Figure("sweep: false points", float(each(ours, "smooth", "false_share").mean()), "1", high=0.005))
     out.append(Figure("sweep: false points, plain", float(each(plain, "smooth", "false_share").mean()), "1"))
     for part, name in (("rows", "sweep by rows"), ("smooth", "sweep")):
