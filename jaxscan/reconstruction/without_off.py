@@ -35,8 +35,8 @@ _NEAREST_M, _FARTHEST_M = 0.3, 10.0
 _NODES_PX = 16
 """Distance between the pixels of which the place in another step is computed [px]."""
 _AGREE_DN = 8.0
-"""Difference of two steps up to which their mean is taken, and beyond it the median of both and the frame itself: one of
-them has a stripe there, or an edge is not quite where it should be [DN]."""
+"""Difference of two steps up to which their mean is taken, and beyond it the median of both and the frame itself: one
+may have a stripe there, or an edge is not quite where it should be [DN]."""
 _MOST_DN = 20.0
 """Residual from which more is not worse [DN]."""
 _AROUND = (8, 4)
