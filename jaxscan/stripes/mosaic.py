@@ -23,7 +23,7 @@ _PERIOD_PX, _STEEPEST = 2.0, 0.8
 _CALM, _WINDOWS = 2.5, 30
 """Scatter of a window over the usual one up to which it counts, as edges lie in the others; and fewest windows."""
 _LEAST = 0.3
-"""Least part of the scatter of windows that a wave explains: compression alone makes a tenth of it look like one [1]."""
+"""Least part of the scatter that a wave explains: of compression alone, a tenth of it looks like one [1]."""
 _MOST_PX = 0.3
 """Largest amplitude: with more, two places would have one centre."""
 _LEFT = 0.25
@@ -54,7 +54,7 @@ def mosaic_wave(rows: ProfileRows, near: tuple[float, ...], line_step: int = 1) 
     windows = [np.zeros((0, _WIDTH))] * 2
     for first in range(line_step if rows.u.shape[1] >= _WIDTH * line_step else 0):
         u, sigma, valid = (
-            sliding_window_view(field[:, first::line_step], _WIDTH, 1)[:, :: _WIDTH // 4]
+            sliding_window_view(field[:, first::line_step], _WIDTH, 1)[:, :: _WIDTH // 2]
             for field in (some.u, some.sigma, some.valid)
         )
         way = np.abs(u[..., -1] - u[..., 0])
@@ -69,15 +69,15 @@ def mosaic_wave(rows: ProfileRows, near: tuple[float, ...], line_step: int = 1) 
     calm = square < _CALM * np.median(square)
     u, sigma, rest = u[calm], sigma[calm, None], rest[calm]
     passed = _passed(np.abs(u[:, -1:] - u[:, :1]) / (_WIDTH - 1.0), near)
-    wave = np.zeros(2)
+    wave, seen = np.zeros(2), rest.reshape(-1)
     for _ in range(_ROUNDS):
         phase = np.pi * _places(u, wave, passed, lambda place: place - place @ left)
         design = np.stack([(passed * part(phase)) @ left / sigma for part in (np.cos, np.sin)], -1).reshape(-1, 2)
-        found, *_ = np.linalg.lstsq(design, rest.reshape(-1), rcond=None)
+        found, *_ = np.linalg.lstsq(design, seen, rcond=None)
+        if np.sum((seen - design @ found) ** 2) > (1.0 - _LEAST) * np.sum(seen**2):
+            return None
         wave = 0.5 * (wave + found)
         wave *= min(1.0, _MOST_PX / max(float(np.hypot(*wave)), 1e-9))
-    if np.sum((rest.reshape(-1) - design @ wave) ** 2) > (1.0 - _LEAST) * np.sum(rest**2):
-        return None
     u = np.asarray(rows.u, np.float64)
     passed = _passed(_slopes(rows, line_step), near)
     place = _places(u, wave, passed, _means(rows, line_step))
