@@ -82,16 +82,16 @@ def mosaic_wave(rows: ProfileRows, near: tuple[float, ...], line_step: int = 1) 
     passed = _passed(_slopes(rows, line_step), near)
     place = _places(u, wave, passed, _means(rows, line_step))
     error = np.where(rows.valid, _error(place, wave, passed), 0.0)
-    return Wave(error.astype(np.float32), _LEFT * float(np.hypot(*wave)) / np.sqrt(2.0))
+    return Wave(error.astype(np.float32), _LEFT * float(np.hypot(*wave) / np.sqrt(2.0)))
 
 
 def _passed(slope: np.ndarray, near: tuple[float, ...]) -> np.ndarray:
     """Part of the wave of an upright stripe that is left of that of a steeper one [1]."""
-    return np.sqrt(alike_on_mosaic(np.zeros(1), slope, near))
+    return np.asarray(np.sqrt(alike_on_mosaic(np.zeros(1), slope, near)))
 
 
 def _error(place: np.ndarray, wave: np.ndarray, passed: np.ndarray) -> np.ndarray:
-    return passed * (wave[0] * np.cos(np.pi * place) + wave[1] * np.sin(np.pi * place))
+    return np.asarray(passed * (wave[0] * np.cos(np.pi * place) + wave[1] * np.sin(np.pi * place)))
 
 
 def _places(
