@@ -74,7 +74,7 @@ def mosaic_wave(rows: ProfileRows, near: tuple[float, ...], line_step: int = 1) 
         phase = np.pi * _places(u, wave, passed, lambda place: place - place @ left)
         design = np.stack([(passed * part(phase)) @ left / sigma for part in (np.cos, np.sin)], -1).reshape(-1, 2)
         found, *_ = np.linalg.lstsq(design, seen, rcond=None)
-        if np.sum((seen - design @ found) ** 2) > (1.0 - _LEAST) * np.sum(seen**2):
+        if np.sum((seen - design @ found) ** 2) >= (1.0 - _LEAST) * np.sum(seen**2):
             return None
         wave = 0.5 * (wave + found)
         wave *= min(1.0, _MOST_PX / max(float(np.hypot(*wave)), 1e-9))
