@@ -15,6 +15,8 @@ class MotionKind(NamedTuple):
     """Of its positions; of given poses a position is the number of the record."""
     part: str
     """The part that is solved."""
+    blocks: tuple[str, ...]
+    """Names of its blocks of unknowns, of which `--help` has its choices."""
     stops: str
     """Its positions, in words."""
     least: float
@@ -38,6 +40,7 @@ _TABLE = MotionKind(
     "Turntable",
     "rad",
     "axis",
+    ("axis", "gain", "harmonics"),
     "table angles",
     1e-3,
     "leave the board standing and turn the table between images (same `placement`, other `angle_deg`): 4 placements "
@@ -54,6 +57,7 @@ MOTIONS: dict[str, MotionKind] = {
         "LinearStage",
         "m",
         "direction of travel",
+        ("travel", "gain"),
         "positions of the stage",
         1e-4,
         "leave the board standing and move the stage between images (same `placement`, other `position_m`): 4 "
@@ -67,6 +71,7 @@ MOTIONS: dict[str, MotionKind] = {
         "Hand",
         "pose",
         "place of the camera on the hand",
+        ("hand",),
         "poses of the hand",
         0.5,
         "leave the board standing and go round it with the hand (same `placement`, other `pose`): 12 poses, turned by "
@@ -79,6 +84,7 @@ MOTIONS: dict[str, MotionKind] = {
         "Still",
         "",
         "motion",
+        (),
         "positions",
         0.0,
         "",

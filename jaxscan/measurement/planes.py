@@ -112,6 +112,14 @@ def facing(plane: Plane, direction: np.ndarray) -> Plane:
     return plane._replace(normal=-plane.normal, distance=-plane.distance)
 
 
+def feet_on(planes: Sequence[Plane], at: np.ndarray) -> tuple[np.ndarray, list[float]]:
+    """The mean normal [3] of two nearly parallel planes, and how far along it each is from a point [m]."""
+    first, second = planes
+    normal = first.normal + (second.normal if first.normal @ second.normal >= 0 else -second.normal)
+    normal = normal / np.linalg.norm(normal)
+    return normal, [float((plane.distance - plane.normal @ at) / (plane.normal @ normal)) for plane in planes]
+
+
 @dataclass(frozen=True)
 class PlaneMeasurement:
     """Flatness of a patch of the cloud, its normal towards the scanner."""

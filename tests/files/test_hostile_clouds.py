@@ -9,7 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds import load_cloud, save_cloud
+from jaxscan.files.clouds import FORMATS, load_cloud, save_cloud
 from jaxscan.files.clouds.pcd import unpack
 from tests.fuzz.hardship import hardship
 
@@ -17,7 +17,6 @@ from .clouds import make_cloud, unsealed
 from .test_cloud_exchange import needed
 
 
-FORMATS = (".e57", ".las", ".laz", ".pcd", ".xyz", ".ptx")
 _good = {}
 
 
@@ -30,7 +29,7 @@ def good(suffix, folder):
     return _good[suffix]
 
 
-@pytest.mark.parametrize("suffix", (".ply", ".npz", *FORMATS))
+@pytest.mark.parametrize("suffix", FORMATS)
 @settings(max_examples=60, deadline=None)
 @given(data=st.data())
 def test_any_damage_is_read_or_refused(tmp_path_factory, suffix, data):
@@ -204,7 +203,7 @@ def test_lzf():
             unpack(packed, size)
 
 
-@pytest.mark.parametrize("suffix", (".ply", ".npz", *FORMATS))
+@pytest.mark.parametrize("suffix", FORMATS)
 def test_a_full_disk_is_one_line_and_leaves_nothing(tmp_path, suffix):
     """Libraries that pack points have errors of their own for it."""
     needed(suffix)

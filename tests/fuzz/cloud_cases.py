@@ -2,6 +2,8 @@
 
 from pathlib import Path
 
+from jaxscan.files.clouds import FORMATS
+
 from .archives import change_npz
 from .draft import OUT, Case, Draft, changed_capture
 from .nasty import nasty_number
@@ -9,7 +11,7 @@ from .scans import change_e57, change_las, change_pcd, change_ptx, change_xyz
 from .texts import change_bytes, change_json, change_lines, change_ply_header, change_toml
 
 
-CLOUDS = (".ply", ".npz", ".e57", ".las", ".laz", ".pcd", ".xyz", ".ptx")
+CLOUDS = tuple(FORMATS)
 _CHANGES = {
     ".npz": change_npz,
     ".e57": change_e57,

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from jaxscan.files.clouds import FORMATS
+
 from ..files.strangers import STRANGERS
 from .project_cases import KNOWN, TARGETS
 
@@ -73,7 +75,7 @@ def make_corpus(tiny: Path, folder: Path, configs: Path) -> None:
     reconstruct = ["reconstruct", str(folder / "unsealed"), "-c", str(folder / "calibration.json")]
     assert main([*reconstruct, "--no-cache", "-o", str(folder / "cloud.npz")]) == 0
     assert main([*reconstruct, "-o", str(folder / "cloud.ply"), "--json", str(folder / "reconstruct.json")]) == 0
-    for suffix in (".e57", ".las", ".laz", ".pcd", ".xyz", ".ptx"):
+    for suffix in [one for one in FORMATS if one not in (".npz", ".ply")]:
         assert main(["convert", str(folder / "cloud.ply"), str(folder / f"cloud{suffix}")]) == 0
     # A note on an unchanged capture would hide that a change is not noticed.
     assert json.loads((folder / "reconstruct.json").read_text())["notes"] == []

@@ -9,13 +9,18 @@ from typing import TYPE_CHECKING, Literal
 if TYPE_CHECKING:
     from jaxscan.geometry.cameras.camera import AbstractCamera
 
-MODELS = ("pinhole", "fisheye", "double_sphere")
-"""Names of the models. To add one: a file of its name with its class, and its name here."""
+MODELS: dict[str, tuple[str, ...]] = {
+    "pinhole": ("radial", "tangential", "k3", "rational"),
+    "fisheye": ("radial",),
+    "double_sphere": ("sphere",),
+}
+"""The models with the names of their blocks of coefficients. To add one: a file of its name with its class, and a line
+here, from which `--help` has its choices."""
 
 if TYPE_CHECKING:
     CameraModel = str
 else:
-    CameraModel = Literal[MODELS]
+    CameraModel = Literal[tuple(MODELS)]
 
 
 class _Models(Mapping[str, "type[AbstractCamera]"]):
