@@ -28,7 +28,7 @@ _MOST_PX = 0.3
 """Largest amplitude: with more, two places would have one centre."""
 _LEFT = 0.25
 """Part of a wave that is left: it differs by so much between bright and faint stripes, and upright and steep ones."""
-_NEAR, _STRAIGHT_PX = 4, 0.5
+_NEAR, _STRAIGHT_PX = 8, 0.5
 """Neighbours on either side whose mean tells the place, and how far from a straight line they are no surface [px]."""
 _ROUNDS, _STEPS = 8, 20
 
