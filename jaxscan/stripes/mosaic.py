@@ -5,6 +5,7 @@ by its place p on the mosaic, as a wave of two pixels: $a \\cos(\\pi p) + b \\si
 place, and nothing in its rows shows the error; a steep one passes all places within a few rows.
 """
 
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,12 +22,14 @@ _PERIOD_PX, _STEEPEST = 2.0, 0.8
 """Way of a stripe in a window from which the window shows a wave, and slope up to which it is one surface [px/row]."""
 _CALM, _WINDOWS = 2.5, 30
 """Scatter of a window over the usual one up to which it counts, as edges lie in the others; and fewest windows."""
-_LEAST = 0.1
-"""Least part of the windows' scatter that a wave explains: frames without a mosaic have none [1]."""
+_LEAST = 0.3
+"""Least part of the scatter that a wave explains: of compression alone, a tenth of it looks like one [1]."""
 _MOST_PX = 0.3
 """Largest amplitude: with more, two places would have one centre."""
 _LEFT = 0.25
 """Part of a wave that is left: it differs by so much between bright and faint stripes, and upright and steep ones."""
+_NEAR, _STRAIGHT_PX = 8, 0.5
+"""Neighbours on either side whose mean tells the place, and how far from a straight line they are no surface [px]."""
 _ROUNDS, _STEPS = 8, 20
 
 
@@ -51,7 +54,7 @@ def mosaic_wave(rows: ProfileRows, near: tuple[float, ...], line_step: int = 1) 
     windows = [np.zeros((0, _WIDTH))] * 2
     for first in range(line_step if rows.u.shape[1] >= _WIDTH * line_step else 0):
         u, sigma, valid = (
-            sliding_window_view(field[:, first::line_step], _WIDTH, 1)[:, :: _WIDTH // 4]
+            sliding_window_view(field[:, first::line_step], _WIDTH, 1)[:, :: _WIDTH // 2]
             for field in (some.u, some.sigma, some.valid)
         )
         way = np.abs(u[..., -1] - u[..., 0])
@@ -66,32 +69,59 @@ def mosaic_wave(rows: ProfileRows, near: tuple[float, ...], line_step: int = 1) 
     calm = square < _CALM * np.median(square)
     u, sigma, rest = u[calm], sigma[calm, None], rest[calm]
     passed = _passed(np.abs(u[:, -1:] - u[:, :1]) / (_WIDTH - 1.0), near)
-    wave = np.zeros(2)
+    wave, seen = np.zeros(2), rest.reshape(-1)
     for _ in range(_ROUNDS):
-        phase = np.pi * _places(u, wave, passed)
+        phase = np.pi * _places(u, wave, passed, lambda place: place - place @ left)
         design = np.stack([(passed * part(phase)) @ left / sigma for part in (np.cos, np.sin)], -1).reshape(-1, 2)
-        found, *_ = np.linalg.lstsq(design, rest.reshape(-1), rcond=None)
+        found, *_ = np.linalg.lstsq(design, seen, rcond=None)
+        if np.sum((seen - design @ found) ** 2) >= (1.0 - _LEAST) * np.sum(seen**2):
+            return None
         wave = 0.5 * (wave + found)
         wave *= min(1.0, _MOST_PX / max(float(np.hypot(*wave)), 1e-9))
-    if np.sum((rest.reshape(-1) - design @ wave) ** 2) > (1.0 - _LEAST) * np.sum(rest**2):
-        return None
     u = np.asarray(rows.u, np.float64)
-    error = np.where(rows.valid, u - _places(u, wave, _passed(_slopes(rows, line_step), near)), 0.0)
-    return Wave(error.astype(np.float32), _LEFT * float(np.hypot(*wave)) / np.sqrt(2.0))
+    passed = _passed(_slopes(rows, line_step), near)
+    place = _places(u, wave, passed, _means(rows, line_step))
+    error = np.where(rows.valid, _error(place, wave, passed), 0.0)
+    return Wave(error.astype(np.float32), _LEFT * float(np.hypot(*wave) / np.sqrt(2.0)))
 
 
 def _passed(slope: np.ndarray, near: tuple[float, ...]) -> np.ndarray:
     """Part of the wave of an upright stripe that is left of that of a steeper one [1]."""
-    return np.sqrt(alike_on_mosaic(np.zeros(1), slope, near))
+    return np.asarray(np.sqrt(alike_on_mosaic(np.zeros(1), slope, near)))
 
 
-def _places(u: np.ndarray, wave: np.ndarray, passed: np.ndarray) -> np.ndarray:
-    """Where stripes lie whose centres are seen at u [px]."""
-    place = u
+def _error(place: np.ndarray, wave: np.ndarray, passed: np.ndarray) -> np.ndarray:
+    return np.asarray(passed * (wave[0] * np.cos(np.pi * place) + wave[1] * np.sin(np.pi * place)))
+
+
+def _places(
+    u: np.ndarray, wave: np.ndarray, passed: np.ndarray, smooth: Callable[[np.ndarray], np.ndarray]
+) -> np.ndarray:
+    """Where stripes lie whose centres are seen at u, by their neighbours [px]."""
+    place = smooth(u)
     for _ in range(_STEPS):
-        error = passed * (wave[0] * np.cos(np.pi * place) + wave[1] * np.sin(np.pi * place))
-        place = 0.5 * (place + u - error)
+        place = 0.5 * (place + smooth(u - _error(place, wave, passed)))
     return place
+
+
+def _means(rows: ProfileRows, line_step: int) -> Callable[[np.ndarray], np.ndarray]:
+    """Means of each row and its neighbours on either side; the row itself where they are no straight line."""
+    reach = _NEAR * line_step
+    if rows.u.shape[1] <= 2 * reach:
+        return lambda values: values
+    inner = np.s_[:, reach:-reach]
+    parts = [
+        np.s_[:, reach + k * line_step : rows.u.shape[1] - reach + k * line_step] for k in range(-_NEAR, _NEAR + 1)
+    ]
+    straight = np.abs(rows.u[parts[0]] + rows.u[parts[-1]] - 2.0 * rows.u[inner]) < _STRAIGHT_PX
+    straight &= np.logical_and.reduce([rows.valid[part] for part in parts])
+
+    def means(values: np.ndarray) -> np.ndarray:
+        found = values.copy()
+        found[inner] = np.where(straight, sum(values[part] for part in parts) / len(parts), values[inner])
+        return found
+
+    return means
 
 
 def _slopes(rows: ProfileRows, line_step: int) -> np.ndarray:
