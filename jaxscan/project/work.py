@@ -32,7 +32,7 @@ from jaxscan.files.disk import (
     append_whole,
     file_digest,
     make_folder,
-    open_to_append,
+    open_to_write,
     parse_json,
     partial_folder,
     read_arrays,
@@ -501,7 +501,7 @@ class Tiles:
         ends = np.cumsum(np.bincount(of_place.ravel(), minlength=len(places)))
         for place, some in zip(places.tolist(), np.split(rows[order], ends[:-1]), strict=True):
             path = self._files.setdefault((place[0], place[1]), self._folder / f"{place[0]}_{place[1]}")
-            with open_to_append(path) as file:
+            with open_to_write(path, "append") as file:
                 append_whole(file, some.tobytes(), durable=False)
 
     def clouds(self) -> Iterator[tuple[tuple[int, int], PointCloud]]:
