@@ -9,7 +9,7 @@ sigmas of the rows; error over stated is the root mean square of all walls and s
 
 Developed on seeds 1 to 3, judged on 11 to 16; limits are 0.85 and 1.2.
 
-    python -m experiments.colour_sigmas [--seeds N …] [--json FILE]
+    python -m experiments.colour_sigmas [--seeds N …] [--jobs N] [--json FILE]
 """
 
 import sys
@@ -20,7 +20,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 
-from experiments.report import Figure, command_line, conclude, progress, rms
+from experiments.report import Figure, command_line, conclude, in_processes, progress, rms
 from jaxscan.measurement.planes import fitted_plane
 from jaxscan.measurement.samples import samples_of
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract, reconstruct
@@ -109,6 +109,20 @@ def judged(camera: str, config: SimulationConfig, expected: list[ExpectedRecord]
     return Judged(((smoothed.u - u) / np.maximum(smoothed.sigma, 1e-9))[smooth], walls)
 
 
+def judged_seed(seed: int) -> dict[str, Judged]:
+    """All cameras in one world, by their names."""
+    found, kept = {}, dict[str, list[ExpectedRecord]]()
+    for camera, pixel_format in CAMERAS.items():
+        config = world(pixel_format, seed)
+        if pixel_format not in kept:
+            kept[pixel_format] = list(expect_sweep(config))
+        for peak in PEAKS_DN:
+            one = judged(camera, config, kept[pixel_format], peak / PEAKS_DN[0])
+            found[f"{camera}, {peak:.0f} DN"] = one
+            progress(f"seed {seed}, {camera}, {peak:.0f} DN: {quantile(one.centres):.2f}, {rms(one.walls):.2f}")
+    return found
+
+
 def quantile(values: np.ndarray) -> float:
     """Size below which are as many as within one standard deviation."""
     return float(np.quantile(np.abs(values), 0.6827)) if len(values) else float("nan")
@@ -129,18 +143,10 @@ def main() -> int:
     """Measure and print."""
     parser = command_line(__doc__, json=True)
     parser.add_argument("--seeds", type=int, nargs="+", default=JUDGED)
+    parser.add_argument("--jobs", type=int, default=1, help="processes, each of which takes a seed")
     arguments = parser.parse_args()
-    found: dict[str, list[Judged]] = {f"{camera}, {peak:.0f} DN": [] for peak in PEAKS_DN for camera in CAMERAS}
-    for seed in arguments.seeds:
-        kept: dict[str, list[ExpectedRecord]] = {}
-        for camera, pixel_format in CAMERAS.items():
-            config = world(pixel_format, seed)
-            if pixel_format not in kept:
-                kept[pixel_format] = list(expect_sweep(config))
-            for peak in PEAKS_DN:
-                one = judged(camera, config, kept[pixel_format], peak / PEAKS_DN[0])
-                found[f"{camera}, {peak:.0f} DN"].append(one)
-                progress(f"seed {seed}, {camera}, {peak:.0f} DN: {quantile(one.centres):.2f}, {rms(one.walls):.2f}")
+    each_seed = in_processes(judged_seed, arguments.seeds, arguments.jobs)
+    found = {name: [of_seed[name] for of_seed in each_seed] for name in each_seed[0]}
     figures = []
     for name, each in found.items():
         centres, walls = (np.concatenate([one[kind] for one in each]) for kind in (0, 1))

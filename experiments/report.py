@@ -2,22 +2,27 @@
 
 import argparse
 import json
+import multiprocessing
 import os
 import platform
 import subprocess
 import sys
 import time
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
+from concurrent.futures import ProcessPoolExecutor
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, TypeVar
 
 import numpy as np
 
 
 ROOT = Path(__file__).resolve().parents[1]
 RESULTS = ROOT / "experiments" / "results"
+
+_Item = TypeVar("_Item")
+_Result = TypeVar("_Result")
 
 
 class Figure(NamedTuple):
@@ -59,6 +64,18 @@ def command_line(description: str | None, *, quick: str = "", json: bool = False
     if json:
         made.add_argument("--json", metavar="FILE", help="write the figures to a file (- for standard output)")
     return made
+
+
+def in_processes(function: Callable[[_Item], _Result], items: Iterable[_Item], jobs: int = 1) -> list[_Result]:
+    """A function of every item, in their order, by so many new processes; by this one where `jobs` is 1.
+
+    Args:
+        function: Of a module, so that another process finds it.
+    """
+    if jobs <= 1:
+        return [function(item) for item in items]
+    with ProcessPoolExecutor(jobs, mp_context=multiprocessing.get_context("spawn")) as pool:
+        return list(pool.map(function, items))
 
 
 def progress(text: str) -> None:

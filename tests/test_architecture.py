@@ -103,7 +103,6 @@ HOME_OF = {
     "lineax": {"leastsq/solver.py"},
     "matplotlib": {"report"},
     "rich": {"cli"},
-    "tyro": {"cli"},
     "pydantic": {"files", "simulation", "project/config.py"},
 }
 """Third-party libraries that belong to one place."""
@@ -193,7 +192,7 @@ def test_the_acquisition_layer_imports_what_writes_captures(path):
     where = str(path.relative_to(RIG))
     for module, line in imports(path):
         first, *rest = module.split(".")
-        assert first not in {"bench", "open3d", "jax", "rich", "tyro"}, f"line {line}: {module}"
+        assert first not in {"bench", "open3d", "jax", "rich"}, f"line {line}: {module}"
         if first == "jaxscan":
             assert rest and rest[0] in RIG_MAY_IMPORT, f"line {line}: {module}"
         homes = RIG_HOME_OF.get(first)

@@ -41,6 +41,8 @@ NEAR_TABLE = 0.015
 """The table's surface is looked for so near to its markers [m]: the camera was moved between calibration and sweep."""
 ON_TABLE = 0.006
 """A point so near to the surface is on the table [m]."""
+ON_BED = 0.001
+"""A point so near to the bed of a printer is on it [m]."""
 ABOVE = 0.2
 """Height of the part of the scene that counts [m]."""
 
@@ -521,6 +523,12 @@ def write_rig(path: Path, size: tuple[int, int], lens: Lens, sheet: Plane, table
 
 def reconstruct(capture: Path, rig: Path, table: Table, inner: float) -> dict[str, Any]:
     """One run of `jaxscan reconstruct`, and the figures of its cloud."""
+    found, cloud = _reconstruct(capture, rig)
+    frame = TableFrame(table)
+    return found if cloud is None else found | table_figures(cloud, frame.height, frame.normal, inner)
+
+
+def _reconstruct(capture: Path, rig: Path) -> tuple[dict[str, Any], np.ndarray | None]:
     cloud = rig.with_name(f"{rig.stem}_{capture.name}.ply")
     cloud.unlink(missing_ok=True)
     ran = verb("reconstruct", capture, "-c", rig, "-o", cloud, "--no-cache", "--max-range", "2")
@@ -531,10 +539,44 @@ def reconstruct(capture: Path, rig: Path, table: Table, inner: float) -> dict[st
         "notes": [short(note) for note in ran.notes()],
         "error": short(ran.last_words()),
     }
-    if not cloud.exists():
-        return found
-    frame = TableFrame(table)
-    return found | table_figures(points_of(cloud), frame.height, frame.normal, inner)
+    return found, points_of(cloud) if cloud.exists() else None
+
+
+def stage_sweep(pictures: Pictures, rig: dict[str, Any]) -> dict[str, Any]:
+    """Figures of the plain method on a sweep of a linear stage, by a calibration as `write_rig` writes it."""
+    start, laser, camera = time.perf_counter(), pictures.lasers[0], rig["camera"]
+    lens = Lens(np.array([[camera["fx"], 0, camera["cx"]], [0, camera["fy"], camera["cy"]], [0, 0, 1]]), np.zeros(5))
+    sheet = Plane(np.array(rig["lasers"][0]["normal"]), rig["lasers"][0]["distance_m"])
+    along, points = np.array(rig["turntable"]["direction"]), []
+    for record in pictures.records:
+        q = centres(_light(pictures, record, laser), laser.get("stripe_axis", "rows"))
+        points.append(sheet.meet(lens.straight(q)) + along * record["position_m"])
+    figures = bed_figures(np.concatenate(points))
+    return figures | {"seconds": time.perf_counter() - start, "records": len(pictures.records)}
+
+
+def bed_figures(xyz: np.ndarray) -> dict[str, Any]:
+    """How well the points [n, 3] keep to the smooth surface that most of them share, the bed below the camera.
+
+    Neither lens nor sheet are known, so a cubic surface is taken off: what is left are errors of single points.
+    """
+    depths = np.sort(xyz[:, 2])
+    counts = np.searchsorted(depths, depths + ON_BED) - np.arange(len(depths))
+    off = xyz[:, 2] - (depths[counts.argmax()] + ON_BED / 2)
+    x, y = (xyz[:, :2] / np.abs(xyz[:, :2]).max(0)).T
+    terms = np.stack([x**i * y**j for i in range(4) for j in range(4 - i)], axis=1)
+    for near in (4.0, 2.0, 1.0, 1.0, 1.0):
+        on = np.abs(off) < near * ON_BED
+        off = xyz[:, 2] - terms @ np.linalg.lstsq(terms[on], xyz[on, 2], rcond=None)[0]
+    on = np.abs(off) < ON_BED
+    off = off[on]
+    return {"points": len(xyz), "on_table": int(on.sum()), "spread_mm": 1e3 * spread(off), "rms_mm": 1e3 * rms(off)}
+
+
+def reconstruct_stage(capture: Path, rig: Path) -> dict[str, Any]:
+    """One run of `jaxscan reconstruct` of a sweep of a linear stage, and the figures of its cloud."""
+    found, cloud = _reconstruct(capture, rig)
+    return found if cloud is None else found | bed_figures(cloud)
 
 
 def points_of(path: Path) -> np.ndarray:

@@ -18,6 +18,7 @@ from typing import Any, NamedTuple
 import cv2
 import numpy as np
 import tomli_w
+from scipy.spatial.transform import Rotation  # type: ignore[import-untyped]
 
 import jaxscan
 from experiments.report import command_line
@@ -80,6 +81,8 @@ class RealSet(NamedTuple):
     """The camera that the authors calibrated elsewhere: fx, fy, cx, cy, k1, k2, p1, p2, k3."""
     inner_m: float = 0.0
     """For a sweep: radius within which the object covers the table [m]."""
+    rig: dict[str, Any] | None = None
+    """For a sweep without a calibration: one that is made up, so that the scatter of points alone means something."""
 
 
 NONE = "no licence stated: measured only"
@@ -99,6 +102,15 @@ SONG = (
     NONE,
 )
 OPENCV = ("opencv/opencv", "samples/data", "Apache-2.0")
+TORTI = ("AndreaTorti-01/laser-profilometer", "83b1c47635475937d0440ef1e32804781d2931b1", NONE)
+ANUGRAH = (
+    "Anugrah-T-Sebastian/3D_Scanner_Laser_Triangulation",
+    "d2c8a3d36f815e9f37d25b2ac5f31fd2971a710c",
+    "GPL-3.0",
+)
+VATHOS = ("vathos/hand-eye.calibation.demos.vathos.net", "3b0fdc5eb021578272f2988138643592764f8935", "MIT")
+EIRIK = ("eirikwha/hand_eye_calibration", "628fef0a3668385940c4c5ce915da5868fd33455", NONE)
+XEMA = ("Open3DV/EyeInHand_calibration", "abf75839efd6b25290474596b2f72525e7d8c5e2", NONE)
 MOST = 60
 """Boards of one set: more of the same hand-held board say little more and cost minutes."""
 
@@ -148,6 +160,67 @@ def turning(folder: str, stem: str, steps: int, step_deg: float) -> Callable[[So
     ]
 
 
+def posed(
+    pictures: tuple[str, str], poses: Callable[[Source, list[str]], np.ndarray], *, board_rides: bool = False
+) -> Callable[[Source], Files]:
+    """Pictures of one unmoved board with the pose of a robot's hand [pictures, 4, 4], m.
+
+    Args:
+        poses: From the pictures' paths.
+        board_rides: Whether the camera stands and the hand carries the board: seen from the hand the base moves, so
+            the inverse poses are those of the camera's carrier.
+    """
+
+    def records(source: Source) -> Files:
+        paths = source.find(*pictures)
+        hand = poses(source, paths)
+        hand = np.linalg.inv(hand) if board_rides else hand
+        return [
+            {"on": None, "off": path, "angle_deg": None, "placement": 0, "pose": pose[:3].ravel().tolist()}
+            for path, pose in zip(paths, hand, strict=True)
+        ]
+
+    return records
+
+
+def _numbers(text: bytes) -> list[float]:
+    return [float(one) for one in re.findall(r"-?\d+\.?\d*(?:e[+-]?\d+)?", text.decode())]
+
+
+def _rigid(turn: Rotation, place: list[float]) -> np.ndarray:
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = turn.as_matrix(), place
+    return pose
+
+
+def _vathos(source: Source, paths: list[str]) -> np.ndarray:
+    """A line of a name and sixteen numbers each, column after column."""
+    rows = source.read("resources/poses.csv").decode().split()
+    return np.array([np.reshape([float(one) for one in row.split(",")[1:]], (4, 4)).T for row in rows])
+
+
+def _xema(source: Source, paths: list[str]) -> np.ndarray:
+    """Degrees about the fixed axes x, y and z, and millimetres, a file each."""
+    values = np.array([_numbers(source.read(str(Path(path).with_suffix(".txt")))) for path in paths])
+    turns = Rotation.from_euler("xyz", values[:, :3], degrees=True)
+    return np.array([_rigid(turn, place) for turn, place in zip(turns, values[:, 3:] / 1000.0, strict=True)])
+
+
+def _eirik(source: Source, paths: list[str]) -> np.ndarray:
+    """Metres and a quaternion, its real part last, a file each; the first number is that of YAML's version."""
+    poses = [path.replace("/img/img", "/pose/pose").replace(".png", ".yml") for path in paths]
+    values = np.array([_numbers(source.read(path))[-7:] for path in poses])
+    turns = Rotation.from_quat(values[:, 3:])
+    return np.array([_rigid(turn, place) for turn, place in zip(turns, values[:, :3], strict=True)])
+
+
+def travelling(folder: str, pattern: str, step_m: float) -> Callable[[Source], Files]:
+    """A sweep of a linear stage without laser-off pictures."""
+    return lambda source: [
+        {"position_m": k * step_m, "on": path, "off": None} for k, path in enumerate(source.find(folder, pattern))
+    ]
+
+
 def _green(**more: Any) -> dict[str, Any]:
     return {"laser": [{"colour": "green", **more}]}
 
@@ -156,6 +229,25 @@ DESK = chessboard(8, 6, 40.0)
 TABLE = {"kind": "sweep", "camera": {"pixel_format": "rgb8"}, "turntable": {"carries": "object"}, **_green()}
 LASER = "python/calib_images/Laser"
 CAMERA = "python/calib_images/Camera"
+
+STAGE = {"kind": "sweep", "camera": {"pixel_format": "rgb8"}, "turntable": {"carries": "linear"}}
+HAND = {"turntable": {"carries": "poses"}}
+PRINTER = {
+    "format": "jaxscan-calibration/1",
+    "camera": {
+        "model": "pinhole",
+        "width": 640,
+        "height": 480,
+        "fx": 900.0,
+        "fy": 900.0,
+        "cx": 319.5,
+        "cy": 239.5,
+        "distortion": dict.fromkeys(("k1", "k2", "p1", "p2", "k3"), 0.0),
+    },
+    "lasers": [{"normal": [0.81915, 0.0, 0.57358], "distance_m": 0.0344148}],
+    "turntable": {"carries": "linear", "direction": [1.0, 0.0, 0.0]},
+}
+"""The bed 60 mm below the camera, where a millimetre of height moves the line by the 10.6 px that its makers found."""
 
 SETS: tuple[RealSet, ...] = (
     RealSet(
@@ -331,6 +423,75 @@ SETS: tuple[RealSet, ...] = (
         boards(chessboard(9, 6, 25.0), pixel_format="mono8"),
         plain_boards(".", r"left\d+\.jpg"),
         "left_intrinsics.yml: 0.3926 px",
+    ),
+    RealSet(
+        "torti",
+        *TORTI,
+        "rendered, not photographed, and dark: 11 boards with a blue line, and 30 without",
+        boards(chessboard(11, 6, 24.0), laser=[{"colour": "blue", "stripe_axis": "columns"}]),
+        both(
+            plain_boards("log_reconstruction/camera_calibration", r"intrinseci\d+\.png"),
+            lit_boards("log_reconstruction/laser_plane_calibration", r"systemCalibration\d+\.png"),
+        ),
+    ),
+    RealSet(
+        "anugrah_boards",
+        *ANUGRAH,
+        "a camera on the head of a 3D printer: 11 boards that lie flat on its bed (side of a square assumed)",
+        boards(chessboard(5, 5, 4.0)),
+        plain_boards("Calibration", r"Snap_\d+\.jpg"),
+        "Values.txt: f 6295.31, 6361.34, c 331.14, 273.24 px, k1 19.2, k2 -6308",
+    ),
+    *(
+        RealSet(
+            f"anugrah_{name}",
+            *ANUGRAH,
+            f"the same camera and a red line, overexposed: sweep of 65 steps of 1 mm {over}, never off",
+            {**STAGE, "laser": [{"colour": "red"}]},
+            travelling(f"Measured_steps_Data/{folder}", r"StillSnapshot\d+\.jpg", 1e-3),
+            rig=PRINTER,
+        )
+        for name, folder, over in (
+            ("bed", "05.08.24.Reference_Scan", "over the empty bed"),
+            ("pyramid", "05.08_Pyramid", "over a pyramid"),
+            ("cube", "1mmscan_cube", "over a cube"),
+        )
+    ),
+    RealSet(
+        "vathos",
+        *VATHOS,
+        "a camera on the hand of a robot: 10 poses round one board",
+        boards(chessboard(10, 7, 25.0), **HAND),
+        posed(("resources", r"img_\d+\.png"), _vathos),
+        "main.py: f 1759.16, 1764.07, c 962.83, 595.89 px",
+    ),
+    RealSet(
+        "xema",
+        *XEMA,
+        "a camera on the hand of a robot: 8 poses, hardly tilted, over a small grid of white circles on black",
+        boards(
+            {
+                "type": "circles",
+                "layout": "asymmetric",
+                "columns": 7,
+                "rows": 11,
+                "spacing_mm": 10.0,
+                "diameter_mm": 8.0,
+            },
+            pixel_format="mono8",
+            **HAND,
+        ),
+        posed(("input_EyeInHand", r"pos\d+\.bmp"), _xema),
+        "param.txt: f 2069.9, 2069.45, c 955.28, 588.69 px",
+        camera=(2069.9, 2069.45, 955.283, 588.688, -0.0450238, -0.00447247, 0.00013755, -0.000281302, 0.866311),
+    ),
+    RealSet(
+        "eirik",
+        *EIRIK,
+        "a camera that stands still, the board on the hand of a robot: 19 poses",
+        boards(chessboard(9, 7, 10.0), **HAND),
+        posed(("data/calib080419/img", r"img\d+\.png"), _eirik, board_rides=True),
+        "intrinsics.yml of the other day: f 2743.81, 2747.97, c 934.08, 623.99 px",
     ),
 )
 BY_NAME = {one.name: one for one in SETS}

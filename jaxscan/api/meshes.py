@@ -6,6 +6,7 @@ import jax
 import numpy as np
 
 from jaxscan.api.photographs import open_photographs
+from jaxscan.api.stages import Stage, Stages, megapixels
 from jaxscan.files.capture import Capture
 from jaxscan.geometry import Scanner
 from jaxscan.measurement import camera_centres
@@ -100,7 +101,10 @@ def draw_texture(mesh: Mesh, cloud: PointCloud, scanner: Scanner, texture: Textu
 
 
 def _colours(cloud: PointCloud, scanner: Scanner, texture: Texture) -> Colour:
-    photographs = open_photographs(texture.capture, scanner, progress=texture.progress)
+    images = megapixels(*texture.capture.image_size, len(texture.capture))
+    # As of `colour_cloud`, with the mesh before the first image.
+    told = Stages(texture.progress, (Stage(4.5, 0.33 * images),)).part(0)
+    photographs = open_photographs(texture.capture, scanner, progress=told)
     occluder = make_occluder(cloud, scanner)
     return lambda points, normals: colour_points(photographs, points, normals, occluder=occluder)
 

@@ -298,7 +298,7 @@ def _judgement(result: Recalibration) -> dict[str, Any]:
 # What the stages of both take, in seconds of one processor, of a sweep of 180 pairs of 640 x 512 px whose images have
 # texture: faults of the table, places of the stations, a rough solve, walls, a solve, one more where a wall is not
 # flat, drift, two halves, the rest.
-_SOLVES = (0.2, 0.2, 25.0, 0.7, 16.0, 9.0, 13.0, 23.0, 1.5)
+_SOLVES = (0.1, 0.1, 51.0, 1.1, 13.0, 0.1, 17.0, 31.0, 3.0)
 _PLACED = (0.2, 6.0, 1.5, 17.0)
 
 

@@ -6,7 +6,8 @@ from typing import NamedTuple
 
 Tell = Callable[[int, int], None]
 """Called with (work done, work in all)."""
-_WHOLE = 100
+_PARTS = 1000
+"""Of the unit of stages, in which their work is told."""
 
 
 class Stage(NamedTuple):
@@ -36,7 +37,7 @@ class Stages:
         def progress(done: int, total: int) -> None:
             share = done / max(total, 1)
             work = before + (begins + lasts * share if done > 0 else 0.0)
-            tell(round(_WHOLE * work / max(self._before[-1], 1e-9)), _WHOLE)
+            tell(round(_PARTS * work), max(round(_PARTS * self._before[-1]), 1))
 
         return progress
 

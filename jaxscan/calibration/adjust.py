@@ -1,4 +1,4 @@
-"""The joint solve round the solver: robust start, rejection of outliers, noise, and how well all is known."""
+"""The rounds of the joint solve: robust start, rejection of outliers, noise, and how well the unknowns are known."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
@@ -142,7 +142,7 @@ class Adjustment:
     linearised: Linearised
     """Where the solve ended, with its last weights."""
     errors: Errors
-    """Of everything valid, rejected ones too."""
+    """Errors of everything valid, rejected ones too."""
     data: Prepared
     corner_inlier: np.ndarray
     stripe_inlier: np.ndarray
@@ -151,7 +151,7 @@ class Adjustment:
     corner_noise: float = 1.0
     """Estimated noise over the given sigma [1]."""
     stripe_noise: np.ndarray = field(default_factory=lambda: np.ones(CONTRAST_CLASSES))
-    """Of the points of each contrast class."""
+    """Estimated noise of the points of each contrast class over the given sigma [1]."""
     stripe_correlation: float = 1.0
     """Neighbours along a stripe that share one error [1]."""
     steps: int = 0

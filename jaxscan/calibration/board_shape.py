@@ -92,7 +92,7 @@ def _motions(board: np.ndarray) -> Float[np.ndarray, "rows 4"]:
 
 
 def _orthogonal(columns: Float[np.ndarray, "rows n"]) -> tuple[list[int], Float[np.ndarray, "n m"]]:
-    """Of the columns, in order, those that are not combinations of others before, made orthogonal."""
+    """The columns that are not combinations of columns before them, in order, made orthogonal."""
     size = np.linalg.norm(columns, axis=0)
     taken: list[int] = []
     units, combined = np.zeros((len(columns), 0)), np.zeros((columns.shape[1], 0))
@@ -301,7 +301,7 @@ def choose_shape(
     Args:
         result: The solve with a parabola.
         observations: Its observations.
-        settings: Of the solve; the shape stays a parabola where "shape" or "warp" is held.
+        settings: Settings of the solve; the shape stays a parabola where "shape" or "warp" is held.
     """
     stay = result, ShapeChoice("parabola")
     placements = len(np.unique(result.data.placement[result.view_inlier & result.data.fixes_pose]))
@@ -373,7 +373,7 @@ def describe_board(
     surface = BowedBoard(np.asarray(result.problem.frame), shape[:3])
     bow = np.asarray(surface.rise(board[:, :2]))
     modes = np.asarray(result.problem.modes.corner)[: len(board)]
-    # The pitch moves the corners in the plane, and is told by itself.
+    # The pitch moves the corners in the plane, and is reported by itself.
     numbers = np.array([0, 1, *range(3, len(shape))])
     heights = np.concatenate([bow, modes[:, 2]], axis=1)
     plane = np.column_stack([np.ones(len(board)), board[:, :2]])

@@ -60,10 +60,10 @@ class Estimate:
     observations: Observations
     """With those lines alone on the boards that were taken for the lasers'."""
     given: Observations
-    """Of the same lasers, before lines were left out."""
+    """Observations of the same lasers, before lines were left out."""
     rig: Rig
     camera: AbstractCamera
-    """With its size, and without coefficients that nobody asked for."""
+    """With its size, and without coefficients that were not requested."""
     seconds: float
     hand: AbstractMotion | None = None
     """First values of the place of the camera on a hand whose poses are given."""
@@ -273,7 +273,7 @@ def _first_camera(
 
 
 def _lowest(starts: list[Problem], data: Prepared, settings: CalibrationSettings) -> Adjustment:
-    """Of robust solves from each start the one that fits the corners best."""
+    """The robust solve that fits the corners best, among those from each start."""
 
     def cost(found: Adjustment) -> float:
         size = np.linalg.norm(found.corner_error, axis=-1)[data.corner_valid] / data.corner_sigma[data.corner_valid]
@@ -306,7 +306,7 @@ def _stand_ins(rig: Rig) -> tuple[LaserSheet, AbstractMotion]:
 
 
 def _named(camera: AbstractCamera, observations: Observations, settings: CalibrationSettings) -> AbstractCamera:
-    """The solver's camera with its size, and without optional coefficients that nobody asked for."""
+    """The solver's camera with its size, and without optional coefficients that were not requested."""
     distortion = np.asarray(camera.distortion)
     count = sum(len(block.parameters) for block in camera.lens if not block.optional or block.name in settings.free)
     # A known camera may have them.

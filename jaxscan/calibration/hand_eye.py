@@ -11,8 +11,10 @@ scatter of the given poses is learned, the camera is free within its own covaria
 otherwise; the place of the camera is then solved for the camera as it was found.
 """
 
+import itertools
 from collections.abc import Sequence
 from dataclasses import replace
+from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Float, Int
@@ -21,7 +23,18 @@ from jaxscan.calibration.adjust import Adjustment
 from jaxscan.calibration.problem import LOCAL_SCALE, layout_of
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
-from jaxscan.geometry import AbstractMotion, Array, Hand, Scanner, compose, exponential, invert, namespace
+from jaxscan.geometry import (
+    AbstractMotion,
+    Array,
+    Hand,
+    Scanner,
+    compose,
+    exponential,
+    invert,
+    namespace,
+    nearest_rotation,
+    rotation_vectors,
+)
 from jaxscan.leastsq import Fit, Group, Prior, fit
 from jaxscan.observation import Observations
 
@@ -34,6 +47,9 @@ _HELD = 1e16
 _LEAST = (1e-7, 1e-7)
 # Poses that the best camera misses by more are no poses of this hand [m, rad].
 _MOST = (0.05, 0.1)
+# A board of another size, or other poses, must fit this much better to be named; sizes nearer than this are one; and
+# with fewer views a better fit may be chance.
+_BETTER, _SIZES, _VIEWS = 0.5, 0.02, 4
 
 
 def with_hand(
@@ -58,6 +74,7 @@ def with_hand(
     given = path[np.round(np.asarray(observations.corners.angle)[used]).astype(int)]
     board = np.unique(np.asarray(placement)[used], return_inverse=True)[1]
     own = np.asarray(problem.placement)[used]
+    check_poses(given, seen, board)
     twists = LOCAL_SCALE**2 * np.asarray(result.linearised.covariance.alone)[own, :6, :6]
     hand_cam = np.asarray(first.frame(), np.float64)
     boards = _first_boards(given @ hand_cam @ seen, board)
@@ -116,6 +133,73 @@ def with_hand(
         scanner = Scanner(calibration.camera, problem.lasers, motion, covariance, (), observations.up)
     scanner = replace(scanner, turntable=motion, covariance=covariance)
     return replace(calibration, scanner=scanner, order=names, covariance=covariance)
+
+
+def check_poses(
+    given: Float[np.ndarray, "views 4 4"], seen: Float[np.ndarray, "views 4 4"], board: Int[np.ndarray, " views"]
+) -> None:
+    """See that the mistakes that can be told from poses were not made.
+
+    Args:
+        given: Of the hand, T_base_hand.
+        seen: Of the boards, T_cam_board.
+        board: The board that each view shows.
+
+    Raises:
+        CalibrationError: If the poses are those of a hand that carries the board, or fit a board of another size.
+    """
+    if len(given) < _VIEWS:
+        return
+    found = _closed_form(given, seen, board)
+    if not found.fits:
+        other = _closed_form(np.linalg.inv(given), seen, board)
+        if other.fits and other.angle < _BETTER * found.angle:
+            raise CalibrationError(
+                f"The given poses turn otherwise than the boards, by {np.degrees(found.angle):.1f} degrees, and fit to "
+                f"{np.degrees(other.angle):.2g} degrees if the hand carried the board before a camera that stood "
+                "still: give the inverse of every pose (those of the base, seen from the hand); the place that is then "
+                "found is that of the camera in the robot's base, and points are those of the hand."
+            )
+    if found.fits and abs(found.size - 1.0) > _SIZES and found.resized < _BETTER * found.place:
+        raise CalibrationError(
+            f"The given poses fit a board that is {found.size:.3g} times as large as `[board]` says: to "
+            f"{1e3 * found.resized:.2g} mm, and to {1e3 * found.place:.2g} mm as it is. Check its sizes in "
+            "capture.toml (of a grid of circles, `spacing_mm` is the distance of the rows) and the unit of the poses "
+            "(`--pose-unit`)."
+        )
+
+
+class _ClosedForm(NamedTuple):
+    """How well given poses are those of a hand that carries the camera, root mean squares over pairs of views."""
+
+    angle: float
+    """Between turns of the hand and of the camera [rad]."""
+    place: float
+    """Between their ways [m] ..."""
+    resized: float
+    """... and between them if the board is so many times as large [m]:"""
+    size: float
+
+    @property
+    def fits(self) -> bool:
+        """Whether this is a hand, and a board of some size."""
+        return self.angle < _MOST[1] and self.resized < _MOST[0] and self.size > 0
+
+
+def _closed_form(given: np.ndarray, seen: np.ndarray, board: np.ndarray) -> _ClosedForm:
+    """Solve $A X = X B$ as `Hand.of_boards` does, with the board as it is and of any size."""
+    pairs = [(i, j) for i, j in itertools.combinations(range(len(board)), 2) if board[i] == board[j]]
+    first, second = np.array(pairs).T
+    hand, camera = np.linalg.inv(given[second]) @ given[first], seen[second] @ np.linalg.inv(seen[first])
+    by_hand, by_camera = rotation_vectors(hand), rotation_vectors(camera)
+    rotation = nearest_rotation(by_hand.T @ by_camera)
+    off = by_hand - by_camera @ rotation.T
+    left, way = (hand[:, :3, :3] - np.eye(3)).reshape(-1, 3), (camera[:, :3, 3] @ rotation.T).ravel()
+    right, resized = -hand[:, :3, 3].ravel(), np.column_stack([left, -way])
+    solved = np.linalg.lstsq(resized, right, rcond=None)[0]
+    as_it_is = left @ np.linalg.lstsq(left, right + way, rcond=None)[0] - way
+    size = lambda error: float(np.sqrt(np.mean(np.sum(error.reshape(-1, 3) ** 2, axis=1))))
+    return _ClosedForm(size(off), size(as_it_is - right), size(resized @ solved - right), float(solved[3]))
 
 
 def _by_camera(

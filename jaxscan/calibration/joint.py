@@ -8,11 +8,10 @@ import equinox as eqx
 import jax
 import jax.numpy as jnp
 import numpy as np
-from jaxtyping import Bool, Float, Int
+from jaxtyping import Bool, Float
 
 from jaxscan.calibration.problem import Problem, camera_from_board, move, moving, shared_values, zero_step
 from jaxscan.calibration.rows import Chains, Rows, chains, corner_rows, stripe_rows
-from jaxscan.compiling import compile_sooner
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
 from jaxscan.leastsq import (
@@ -23,6 +22,7 @@ from jaxscan.leastsq import (
     Normal,
     Unknowns,
     covariance_of,
+    minimised,
     reduce_arrow,
     sum_arrow,
 )
@@ -100,7 +100,7 @@ class Joint(AbstractProblem):
 
 
 def priors(problem: Problem) -> Float[Array, " shared"]:
-    """Chains from the values expected before any image, in standard deviations."""
+    """Departures from the values expected before any image, in standard deviations."""
     return (shared_values(problem) - problem.expected) * problem.prior_weight
 
 
@@ -123,16 +123,6 @@ def _seen(problem: Problem) -> Seen:
     rows = corner_rows(problem), *stripe_rows(problem)
     slopes = jax.jacfwd(lambda shared: priors(move(start._replace(shared=shared), problem)))(start.shared)
     return Seen(*rows, chains(problem), camera_from_board(problem), slopes)
-
-
-@compile_sooner
-def _solved(problem: Problem, damping: Float[Array, ""], tolerance: Float[Array, ""], max_steps: Int[Array, ""]) -> Any:
-    # A `Minimum`. Imported by whoever solves: it takes its time.
-    from jaxscan.leastsq.solver import minimise
-
-    problem = jax.tree.map(jnp.asarray, problem)
-    start = Point(moving(problem), jnp.zeros_like(problem.scales))
-    return minimise(Joint(problem), start, damping, tolerance, max_steps)
 
 
 @dataclass(frozen=True)
@@ -176,7 +166,7 @@ class Linearised:
 
     @cached_property
     def covariance(self) -> Covariance:
-        """Of all unknowns."""
+        """Covariance of all unknowns."""
         return covariance_of(self.arrow)
 
     @cached_property
@@ -211,7 +201,7 @@ def solve(problem: Problem, damping: float, tolerance: float, max_steps: int) ->
 
     Args:
         problem: With its weights.
-        damping: Of the first step, relative to the diagonal of J'J [1].
+        damping: Damping of the first step, relative to the diagonal of J'J [1].
         tolerance: Root mean square change of scaled unknowns and of whitened residuals at which
             to stop [1].
         max_steps: Linearisations at most, the first one included.
@@ -219,8 +209,8 @@ def solve(problem: Problem, damping: float, tolerance: float, max_steps: int) ->
     Raises:
         CalibrationError: If the point to begin with is not finite.
     """
-    found = _solved(problem, np.float64(damping), np.float64(tolerance), np.int32(max_steps))
-    found = jax.tree.map(np.asarray, found)
+    start = Point(moving(problem), np.zeros_like(problem.scales))
+    found = minimised(Joint(problem), start, damping, tolerance, max_steps)
     if not found.steps:
         raise CalibrationError("The solve left the range of numbers: the observations contradict each other.")
     (arrow, seen), problem = found.linear, _at(problem, found.y.moved)

@@ -191,9 +191,9 @@ class Problem(eqx.Module):
     corner_weight: Float[Array, "views corners"]
     """1 / sigma [1 / px]."""
     angle: Float[Array, " views"]
-    """Where the motion was told to stand: an observation like any other [rad or m]."""
+    """Commanded position of the motion: an observation like any other [rad or m]."""
     stop: Float[Array, "views stops"]
-    """1 for the stop of each view among those of its placement; 0 where the pose of the board alone tells it."""
+    """1 for the stop of each view among those of its placement; 0 where only the pose of the board shows it."""
     stop_sigma: Float[Array, ""]
     """Standard deviation of a stop about its position [rad or m]."""
     placement: Int[Array, " views"]
@@ -332,7 +332,7 @@ def make_problem(
         lasers: First sheets, stacked, perhaps none.
         motion: First motion between the records; `Still` where every view has a pose of its own.
         poses: T_cam0_board of every placement, as many as views [views, 4, 4].
-        data: Of `prepare`.
+        data: The result of `prepare`.
         settings: Free blocks and priors.
     """
     layout = problem_layout(camera, lasers, motion)

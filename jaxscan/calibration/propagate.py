@@ -67,7 +67,7 @@ def spread(
     Args:
         moved: What has `retract`.
         steps: In its minimal coordinates; each counts as one standard deviation.
-        measure: Of it, at fixed pixels and angles.
+        measure: The measurement, at fixed pixels and angles.
 
     Source: mrcal's projection uncertainty, carried over to points.
     """
@@ -190,7 +190,7 @@ class Length(NamedTuple):
 
 
 def typical_lengths(scanner: Scanner, laser: int) -> list[Length]:
-    """Lengths that people ask for, as far as the rig reaches them.
+    """Lengths of common interest, as far as the rig reaches them.
 
     300 mm at 2.5 m (or as long for its depth at the middle one of the depths in reach), along the
     stripe of one image and across the sweep; and between two points half a turn apart: opposite

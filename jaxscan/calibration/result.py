@@ -42,8 +42,8 @@ class Fit:
     stripe_leverage: np.ndarray
     stripe_inlier: np.ndarray
     covariance: np.ndarray
-    """Of the shared unknowns and of the board: `Calibration.order`, then warp.x, warp.y, pitch, and the modes of
-    its shape."""
+    """Covariance of the shared unknowns and of the board: `Calibration.order`, then warp.x, warp.y, pitch, and the
+    modes of its shape."""
     bend: np.ndarray = field(default_factory=lambda: np.zeros(0))
     """Coefficients of the board's `bend_functions` [m]; empty for a parabola."""
     offset: np.ndarray = field(default_factory=lambda: np.zeros((0, 3)))
@@ -54,7 +54,7 @@ STRUCTURE_P = 0.01
 """Chance of finding structure in good data, all tests together."""
 USELESS_SHARE = 0.05
 """A calibration cannot be used where its points are off by more than this share of their distance, or its rays by more
-than this share of the focal length, which is the same: a room of 4 m wrong by 20 cm is told better by pacing it."""
+than this share of the focal length, which is the same: a room of 4 m wrong by 20 cm is measured better by pacing it."""
 UNKNOWN_FOCAL = 0.03
 """A camera whose focal length is known no better than to this share is not determined by its views."""
 _NAMED_SHARE = 0.3
@@ -145,8 +145,8 @@ class GoodTo:
     """
 
     sigma_mm: float | None = None
-    """Of the length of a wall, 4 m from 2.5 m away or as long for its distance, all around; of an object's points a
-    quarter turn apart, or half a metre of travel apart; without a motion the error of the range [mm]. None without a
+    """Error of the length of a wall, 4 m from 2.5 m away or as long for its distance, all around; of an object's points
+    a quarter turn apart, or half a metre of travel apart; without a motion the error of the range [mm]. None without a
     sheet."""
     statistical_mm: float | None = None
     """The part of it that noise causes."""
@@ -157,7 +157,7 @@ class GoodTo:
     statistical_px: float | None = None
     """The part of it that noise causes."""
     length_m: float | None = None
-    """Of that wall; None without a motion, and in files of earlier versions, whose error is that of points."""
+    """Length of that wall; None without a motion, and in files of earlier versions, whose error is that of points."""
     parts: tuple[GoodToPart, ...] = ()
     """What each part of the rig adds to `statistical_mm`; their squares add up to its square."""
     edge_deg: float | None = None
@@ -199,7 +199,7 @@ class ViewQuality:
     """Left out as a whole."""
     corners_rejected: int = 0
     corner_rms_px: float | None = None
-    """Of all corners, rejected ones too."""
+    """Root mean square distance of all corners, rejected ones too."""
     stripe_points: int = 0
     stripe_rms_px: float | None = None
     stripe_elsewhere: bool = False
@@ -236,9 +236,9 @@ class DepthSigma:
     lines: int
     """Lines of the image (rows, or columns where the stripe runs along them) on which that depth is seen."""
     sigma_depth_mm: float
-    """Of the depth z."""
+    """Error of the depth z."""
     sigma_range_mm: float
-    """Of the distance from the camera's centre."""
+    """Error of the distance from the camera's centre."""
     sigma_point_mm: float
     """Distance of the points of one full turn from where they should be, after the best rigid motion of them all."""
 
@@ -318,7 +318,7 @@ class SecondLook:
 
 @dataclass(frozen=True)
 class Quality:
-    """All of it."""
+    """All numbers by which a calibration is judged."""
 
     converged: bool | None = None
     """Whether the last solve reached its minimum; where it did not, no other number means anything."""
@@ -342,7 +342,7 @@ class Quality:
     boards do not show it, None where none was seen from two positions."""
     views: int | None = None
     records: int | None = None
-    """Of the captures."""
+    """Number of the captures' records."""
     missed: tuple[Missed, ...] = ()
     """The records in which the board was not found."""
     views_without_board: int | None = None
@@ -369,14 +369,14 @@ class Quality:
     board_pitch: float | None = None
     board_pitch_sigma: float | None = None
     steps: int | None = None
-    """Of the solver, in all its rounds."""
+    """Steps of the solver, in all its rounds."""
     warnings: tuple[str, ...] = ()
     lengths: Lengths | None = None
-    """None where nobody has predicted them (`CalibrationSettings.judge`, a camera alone)."""
+    """None where they were not predicted (`CalibrationSettings.judge`, a camera alone)."""
     sigma_statistical: dict[str, float] | None = None
     """Standard deviation of each parameter by noise alone; None where there is no structure by which it was widened."""
     verdict: Verdict | None = None
-    """None where nobody has judged."""
+    """None where it was not judged."""
     seconds: float | None = None
     """Time of the solve [s]."""
     redetected: SecondLook | None = None
@@ -391,9 +391,9 @@ class JudgedView(NamedTuple):
 
     quality: ViewQuality
     row: int | None
-    """Of the observations; None where the fit is not known."""
+    """Row of the observations; None where the fit is not known."""
     kept_rms_px: float | None
-    """Of the corners that were not rejected; None where that is not known, or none is left."""
+    """Root mean square distance of the kept corners; None where that is not known, or none is left."""
     usual_px: float
     """Median of `kept_rms_px` over all views; 0 where nothing is known."""
 
@@ -409,7 +409,7 @@ class JudgedView(NamedTuple):
 
     @property
     def rms_px(self) -> float:
-        """Of the kept corners, or of all where nothing is kept [px]."""
+        """Root mean square distance of the kept corners, or of all where nothing is kept [px]."""
         return self.kept_rms_px or self.quality.corner_rms_px or 0.0
 
 
@@ -466,27 +466,13 @@ def largest_departure(stored: Calibration, again: Calibration) -> tuple[float, s
     """
     if stored.order != again.order or type(stored.camera) is not type(again.camera):
         return np.inf, "the set of parameters"
-    change = _camera(again) - _camera(stored)
     if stored.scanner is not None and again.scanner is not None:
-        change = np.concatenate([change, _rig(stored.scanner, again.scanner)])
+        change = stored.scanner.departure(again.scanner)
+    else:
+        with jax.enable_x64(True):
+            change = np.asarray(again.camera.parameters()) - np.asarray(stored.camera.parameters())
     sigma = np.sqrt(np.maximum(np.diag(again.covariance), 0.0))
     size = np.where(sigma > 0, np.abs(change) / np.where(sigma > 0, sigma, 1.0), 0.0)
     size = np.where((sigma == 0) & (np.abs(change) > _HELD), np.inf, size)
     worst = int(np.argmax(size))
     return float(size[worst]), again.order[worst]
-
-
-def _camera(calibration: Calibration) -> np.ndarray:
-    with jax.enable_x64(True):
-        return np.asarray(calibration.camera.parameters())
-
-
-def _rig(stored: Scanner, again: Scanner) -> np.ndarray:
-    """Change of lasers and motion in the minimal coordinates of the stored ones."""
-    parts = []
-    for index in range(len(stored.laser_names)):
-        before, after = stored.laser(index), again.laser(index)
-        parts += [before.basis @ (after.normal - before.normal), [after.distance - before.distance]]
-        parts += [after.bow - before.bow]
-    parts.append(stored.turntable.departure(again.turntable))
-    return np.concatenate([np.asarray(part, np.float64) for part in parts])

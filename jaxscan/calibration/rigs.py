@@ -25,7 +25,7 @@ _BLOCKS_OF: dict[str, tuple[str, ...]] = {
 
 @dataclass(frozen=True)
 class KnownParts:
-    """What another calibration or a data sheet says; a part that is not named in `refine` is held."""
+    """Parts known from another calibration or a data sheet; one that is not named in `refine` is held."""
 
     camera: AbstractCamera | None = None
     sheets: tuple[LaserSheet, ...] = ()
@@ -116,7 +116,7 @@ def _sheets(lasers: Sequence[str]) -> list[str]:
 def largest_rig(
     held: Holdings, only: RigKind | None = None, known: KnownParts = NOTHING_KNOWN, *, seen: str = IN_JOURNAL
 ) -> Rig:
-    """The largest rig that a capture determines, or the smaller one that is asked for.
+    """The largest rig that a capture determines, or the smaller one that is requested.
 
     Raises:
         CalibrationError: If not even the camera is determined.

@@ -61,7 +61,7 @@ def chains(problem: Problem) -> Chains:
         return moved.camera.parameters(), moved.shape, _sheet_numbers(moved.lasers)
 
     def twist(shared, off):
-        # Of a motion next to the identity, the twist is read off the matrix.
+        # The twist of a motion next to the identity is read off the matrix.
         motion = problem.turntable.retract(shared * problem.scales[layout.turntable])
         moved = eqx.tree_at(lambda p: (p.turntable, p.angle), problem, (motion, problem.angle + off))
         turn = jnp.matmul(jax.lax.stop_gradient(jax.vmap(invert)(camera_from_board(problem))), camera_from_board(moved))

@@ -12,7 +12,7 @@ from jaxscan.geometry.motions import MOTION_BLOCKS
 
 BOARD_BLOCKS = (
     ParameterBlock("warp", ("warp.x", "warp.y"), 0.001, "m", prior="warp", sigma=2e-3),
-    # No image shows the size of the squares: the prior says how well the board was measured.
+    # No image shows the size of the squares: the prior is how well the board was measured.
     ParameterBlock("pitch", ("pitch",), 0.001, prior="pitch", sigma=1e-4),
 )
 """Unknowns of the calibration board, after those of the scanner."""

@@ -1,4 +1,4 @@
-"""How well the motion stops where it is told to: learned from boards that were seen from several positions.
+"""How well the motion stops at its commanded positions: learned from boards that were seen from several of them.
 
 An error that comes back at the same position, or follows it smoothly, is a fault of the motion's model, and no stop's.
 """
@@ -11,7 +11,7 @@ from jaxscan.calibration.problem import LEAST_STOP_SIGMA, Problem, used_stops
 from jaxscan.geometry import LinearStage
 
 
-# Twice the gain in log-likelihood from which stops are believed to err: by chance one calibration in 40 has it.
+# Twice the gain in log-likelihood from which stops are taken to err: by chance one calibration in 40 has it.
 _BELIEVED = 4.0
 # What errs by more is no stop but another fault: a lost step, a slipping belt, a wrong model of the table [rad or m].
 _MOST = 1e-3

@@ -68,7 +68,7 @@ def scan_boards(
         return interrupted() or (lines is not None and lines.ended)
 
     with ScanDisplay() as display:
-        return run_calibration(
+        result = run_calibration(
             rig,
             folder,
             devices,
@@ -76,6 +76,9 @@ def scan_boards(
             Hooks(on_pair, notify=display.say, should_stop=should_stop),
             resume=resume,
         )
+    if isinstance(operator, CommandOperator):
+        operator.take_away()
+    return result
 
 
 def make_guide(rig: "RigConfig") -> "Guide":
@@ -217,17 +220,28 @@ class CommandOperator:
         number = request.number + (0 if request.kind == "free" else self._free_views)
         place = "pose" if request.kind == "free" else "standing place"
         self._console.print(f"{place} {request.number + 1} of {request.total}: {self._words[0]} … {number}")
+        self._run(str(number))
+        return True
+
+    def take_away(self) -> None:
+        """Run the command with "none": a board that stays in the room is in its scan."""
+        try:
+            self._run("none")
+        except OptionError as problem:
+            # The capture is good all the same.
+            self._console.print(f"note: the board may still be in the room. {problem}")
+
+    def _run(self, pose: str) -> None:
         try:
             done = subprocess.run(
-                [*self._words, str(number)], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=COMMAND_S
+                [*self._words, pose], stdin=subprocess.DEVNULL, capture_output=True, text=True, timeout=COMMAND_S
             )
         except (OSError, subprocess.TimeoutExpired) as problem:
             raise OptionError(f"--place-command: {self._words[0]}: {problem}.") from problem
         if done.returncode:
             says = (done.stderr or done.stdout).strip().splitlines()
             why = f": {says[-1]}" if says else ""
-            raise OptionError(f"--place-command: {self._words[0]} {number} ended with {done.returncode}{why}.")
-        return True
+            raise OptionError(f"--place-command: {self._words[0]} {pose} ended with {done.returncode}{why}.")
 
 
 def coverage_lines(seen: "Coverage", *, laser: bool = True) -> list[str]:

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 
 from jaxscan import api, geometry
 from jaxscan import calibration as calibrating
 from jaxscan import report as reports
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import Block, OutputPath, Part, RigKind, check_paths
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
+from jaxscan.cli.terminal import Terminal, console, emit_json, table
 from jaxscan.errors import CalibrationError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
@@ -29,7 +29,7 @@ if TYPE_CHECKING:
 
 
 def calibrate(
-    captures: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")],
+    captures: Annotated[tuple[Path, ...], Arg("CAPTURE")],
     /,
     *,
     output: OutputPath,
@@ -47,7 +47,6 @@ def calibrate(
     at_m: float | None = None,
     limit_px: float | None = None,
     verbose: bool = False,
-    json: JsonTarget = None,
 ) -> None:
     """Calibrate the rig: `jaxscan calibrate captures/boards -o calibration.json`.
 
@@ -80,18 +79,16 @@ def calibrate(
         at_m: Depth at which points are judged; 2.5 m if not given, or as far as the rig reaches.
         limit_px: Refuse a camera whose rays are not good to this, over the image.
         verbose: Print the tests and all parameters too.
-        json: Write the result as JSON too.
     """
     known = {option: Path(words[0]) for option, words in (("--sheet", sheet), ("--axis", axis)) if _is_file(words)}
-    check_paths({"CAPTURE": captures, "--camera": camera, **known}, {"--output": output, "--report": report}, json=json)
+    check_paths({"CAPTURE": captures, "--camera": camera, **known}, {"--output": output, "--report": report})
     calibration_files.check_calibration_path(output)
     if report is not None:
         disk.check_writable(report)
     settings = replace(calibration_settings(lens or "pinhole", free, hold), only=only, choose_lens=lens is None)
     settings = replace(settings, limit_mm=limit_mm, at_m=at_m, limit_px=limit_px)
     opened = [api.open_capture(path) for path in captures]
-    out = console(json)
-    out.notes(f"{capture.path}: {note}" for capture in opened for note in capture.notes)
+    out = console(f"{capture.path}: {note}" for capture in opened for note in capture.notes)
     parts, notes = calibrating.KnownParts(), list[str]()
     if opened:
         parts, notes = known_parts(opened[0], camera, sheet, axis, refine, lens or "pinhole")
@@ -123,7 +120,7 @@ def calibrate(
     out.print(f"written: {', '.join(files.values())}")
     print_summary(out, result, verbose=verbose)
     found = {"missing": result.missing, "quality": calibration_files.quality_table(result.quality)}
-    emit_json(json, "calibrate", files | summary(result) | found)
+    emit_json(files | summary(result) | found)
     first = reports.words.headline(result)
     if first.kind == "bad":
         raise CalibrationError(f"{output}: written, but {first.headline.lower()}. {first.explanation}")

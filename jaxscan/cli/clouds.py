@@ -6,12 +6,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 
 import jaxscan
 from jaxscan import api, measurement, reconstruction
 from jaxscan.api.stages import Stage, Stages
-from jaxscan.cli.measure import in_metres, notes_first, upright
+from jaxscan.cli.help import Arg
+from jaxscan.cli.measure import in_metres, upright
 from jaxscan.cli.options import (
     CLOUD_SUFFIXES,
     CameraFormat,
@@ -29,7 +29,7 @@ from jaxscan.cli.options import (
     positive,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
+from jaxscan.cli.terminal import Terminal, console, emit_json, table
 from jaxscan.errors import CloudError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
@@ -49,8 +49,8 @@ TARGET = (
 
 
 def convert(
-    source: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="INPUT")],
-    target: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="OUTPUT", help=TARGET)],
+    source: Annotated[Path, Arg("INPUT")],
+    target: Annotated[Path, Arg("OUTPUT", text=TARGET)],
     /,
     *,
     format: CameraFormat | None = None,
@@ -61,7 +61,6 @@ def convert(
     up: CloudUp = None,
     epsg: int | None = None,
     offset: tuple[float, float, float] | None = None,
-    json: JsonTarget = None,
 ) -> None:
     """Convert a cloud, a calibration or a capture: `jaxscan convert room.ply room.e57`.
 
@@ -76,23 +75,22 @@ def convert(
         epsg: EPSG code of the projected reference system that the cloud's coordinates are in, after `--offset`;
             stored in LAS, LAZ, E57, PLY, PCD and NPZ.
         offset: Metres x y z that are added to the cloud's coordinates, such as the place of the scanner on the map.
-        json: Write the result as JSON too.
     """
     # `Path.is_dir` raises where a name is too long.
     is_capture = os.path.isdir(source)
     is_calibration = not is_capture and source.suffix.lower() == ".json"
-    check_paths({"INPUT": source}, {"OUTPUT": target}, json=json)
+    check_paths({"INPUT": source}, {"OUTPUT": target})
     given = {"--columns": columns, "--colours": colours, "--unit": unit, "--up": up, "--epsg": epsg, "--offset": offset}
     if is_capture or is_calibration:
         for option in (option for option, value in given.items() if value is not None):
             raise OptionError(f"{option}: is for clouds, and {source} is none.")
     if is_capture:
-        _convert_capture(source, target, format, storage, json)
+        _convert_capture(source, target, format, storage)
         return
     if storage is not None:
         raise OptionError(f"--storage: is for captures, and {source} is not the folder of one.")
     if is_calibration:
-        _convert_calibration(source, target, format, json)
+        _convert_calibration(source, target, format)
         return
     if format is not None:
         raise OptionError(f"--format: is for calibrations (.json), and {source} is none; a cloud's suffix decides.")
@@ -116,10 +114,9 @@ def convert(
             notes.append(f"EPSG:{stored.about.epsg} is of the coordinates before they became metres; it is left out.")
     api.save_cloud(cloud, target, calibration_digest=stored.about.calibration, epsg=code)
     points = int(np.asarray(cloud.valid).sum())
-    out = console(json)
-    out.notes(notes)
+    out = console(notes)
     out.print(f"written: {target} ({points:,} points)")
-    emit_json(json, "convert", {"source": str(source), "cloud": str(target), "points": points, "notes": notes})
+    emit_json({"source": str(source), "cloud": str(target), "points": points, "notes": notes})
 
 
 def _reading(columns: str | None, colours: str | None) -> "Reading":
@@ -130,19 +127,17 @@ def _reading(columns: str | None, colours: str | None) -> "Reading":
     return cloud_files.Reading(listed, None if colours is None else 0.0 if colours == "none" else float(colours))
 
 
-def _convert_calibration(source: Path, target: Path, camera_format: CameraFormat | None, json: JsonTarget) -> None:
+def _convert_calibration(source: Path, target: Path, camera_format: CameraFormat | None) -> None:
     chosen = calibration_files.check_camera_path(target, camera_format)
     calibration_files.export_camera(api.load_calibration(source), target, chosen)
-    out, notes = console(json), calibration_files.calibration_notes(source)
+    out, notes = console(), calibration_files.calibration_notes(source)
     out.notes(notes)
     out.print(f"written: {target} (camera for {chosen})")
     result = {"source": str(source), "camera": str(target), "camera_format": chosen, "notes": notes}
-    emit_json(json, "convert", result)
+    emit_json(result)
 
 
-def _convert_capture(
-    source: Path, target: Path, camera_format: CameraFormat | None, storage: Storage | None, json: JsonTarget
-) -> None:
+def _convert_capture(source: Path, target: Path, camera_format: CameraFormat | None, storage: Storage | None) -> None:
     if camera_format is not None:
         raise OptionError(f"--format: is for calibrations (.json), and {source} is a folder.")
     if storage is None:
@@ -150,10 +145,8 @@ def _convert_capture(
     recording.check_new_folder(target)
     with progress_bar("Converting") as progress:
         capture = recording.repack_capture(source, target, storage=storage, progress=progress)
-    console(json).print(f"written: {target} ({len(capture)} records, {storage})")
+    console().print(f"written: {target} ({len(capture)} records, {storage})")
     emit_json(
-        json,
-        "convert",
         {"source": str(source), "capture": str(target), "storage": storage, "records": len(capture)},
     )
 
@@ -163,15 +156,15 @@ def align(
     /,
     *,
     output: CloudOutputPath,
-    targets: Annotated[Path | None, tyro.conf.arg(metavar="FILE")] = None,
+    targets: Annotated[Path | None, Arg("FILE")] = None,
     room: bool = False,
     unit: CloudUnit = None,
     up: CloudUp = None,
-    json: JsonTarget = None,
 ) -> None:
     """Put a cloud in a frame: `jaxscan align room.ply -o levelled.ply --room`, or `--targets targets.toml`.
 
-    Lengths stay as they are: the cloud is turned and shifted.
+    Lengths stay as they are: the cloud is turned and shifted. The JSON holds the 4 x 4 transform from the cloud in
+    metres, with z up for --room.
 
     Args:
         cloud: The cloud (.ply or .npz).
@@ -179,24 +172,21 @@ def align(
         targets: TOML file with three or more [[target]], each with name, scanner = [x, y, z] and site = [x, y, z] in
             metres.
         room: Floor to z = 0, the longer wall along x, the origin in a corner.
-        json: Write the result as JSON too, with the 4 x 4 transform from the cloud in metres, and for --room with z up.
     """
 
     if room == (targets is not None):
         found = "both --room and" if room else "neither --room nor"
         raise OptionError(f"found {found} --targets, expected one of them.")
-    check_paths({"CLOUD": cloud, "--targets": targets}, {"--output": output}, json=json)
+    check_paths({"CLOUD": cloud, "--targets": targets}, {"--output": output})
     if targets is not None and up is not None:
         raise OptionError("--up: found with --targets, which say by themselves what is up.")
     cloud_files.check_cloud_path(output)
     points, notes = in_metres(cloud, unit) if targets is not None else upright(cloud, unit, up)
-    out = notes_first(notes, json)
+    out = console(notes)
     transform, result = _to_room(points, out) if targets is None else _to_targets(targets, out)
     jaxscan.save_cloud(jaxscan.align_cloud(points, transform), output)
     out.print(f"written: {output}")
     emit_json(
-        json,
-        "align",
         {"source": str(cloud), "cloud": str(output), "transform_m": transform.tolist(), **result} | {"notes": notes},
     )
 
@@ -252,12 +242,11 @@ def clean(
     /,
     *,
     output: CloudOutputPath,
-    box: Annotated[tuple[float, float, float, float, float, float] | None, tyro.conf.arg(metavar="X Y Z X Y Z")] = None,
+    box: Annotated[tuple[float, float, float, float, float, float] | None, Arg("X Y Z X Y Z")] = None,
     thin_mm: float | None = None,
     isolated_mm: float | None = None,
     neighbours: int = 3,
     unit: CloudUnit = None,
-    json: JsonTarget = None,
 ) -> None:
     """Leave out points of a cloud: `jaxscan clean room.ply -o small.ply --isolated-mm 30 --thin-mm 10`.
 
@@ -271,7 +260,6 @@ def clean(
         thin_mm: Keep one point in each cube of this side, that with the smallest sigma.
         isolated_mm: Leave out points that have fewer than --neighbours others within this distance.
         neighbours: Neighbours that a point needs.
-        json: Write the result as JSON too.
     """
     if box is None and thin_mm is None and isolated_mm is None:
         raise OptionError("found none of --box, --thin-mm and --isolated-mm, expected one of them or more.")
@@ -282,7 +270,7 @@ def clean(
     coordinates("--box", box or ())
     if box is not None and not all(low < high for low, high in zip(box[:3], box[3:], strict=True)):
         raise OptionError("--box: found a corner that is not below the other, expected the lower one first.")
-    check_paths({"CLOUD": cloud}, {"--output": output}, json=json)
+    check_paths({"CLOUD": cloud}, {"--output": output})
     cloud_files.check_cloud_path(output)
     stored = api.read_cloud(cloud)
     points, notes = in_metres(cloud, unit)
@@ -304,12 +292,10 @@ def clean(
         raise CloudError(f"{cloud}: no point is left: {_listed(left)}; ask for less.")
     epsg = stored.about.epsg if stored.about.in_metres else None
     api.save_cloud(points, output, calibration_digest=stored.about.calibration, epsg=epsg)
-    out = notes_first(notes, json)
+    out = console(notes)
     out.print(f"left out: {_listed(left)}")
     out.print(f"written: {output} ({kept:,} points)")
-    emit_json(
-        json, "clean", {"source": str(cloud), "cloud": str(output), "points": kept, "left_out": left} | {"notes": notes}
-    )
+    emit_json({"source": str(cloud), "cloud": str(output), "points": kept, "left_out": left} | {"notes": notes})
 
 
 def _listed(left: dict[str, int]) -> str:
@@ -317,12 +303,11 @@ def _listed(left: dict[str, int]) -> str:
 
 
 def register(
-    sources: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="STATION")],
+    sources: Annotated[tuple[Path, ...], Arg("STATION")],
     /,
     *,
     output: CloudOutputPath,
     calibration: OptionalCalibrationPath = None,
-    json: JsonTarget = None,
 ) -> None:
     """Join stations to one cloud: `jaxscan register captures/a captures/b -c calibration.json -o room.e57`.
 
@@ -334,7 +319,6 @@ def register(
         sources: Two or more sweeps (folders), or two or more clouds of one frame.
         output: Cloud to write.
         calibration: Of sweeps: the calibration of the rig that took them.
-        json: Write the result as JSON too.
     """
     sweeps = [path for path in sources if path.is_dir()]
     if len(sources) < 2 or 0 < len(sweeps) < len(sources):
@@ -344,9 +328,9 @@ def register(
         expected = "one for sweeps" if sweeps else "none for clouds, which are made already"
         raise OptionError(f"--calibration: found {'none' if sweeps else calibration}, expected {expected}.")
     kept = [path / capture_files.CACHE_NAME for path in sweeps]
-    check_paths({"STATION": sources, "-c": calibration}, {"--output": output}, kept={"the stripes": kept}, json=json)
+    check_paths({"STATION": sources, "-c": calibration}, {"--output": output}, kept={"the stripes": kept})
     cloud_files.check_cloud_path(output)
-    out = console(json)
+    out = console()
     if calibration is not None:
         stations = _register_sweeps(sweeps, calibration, output, out)
     else:
@@ -356,7 +340,7 @@ def register(
         sigma = "" if station["sigma_m"] is None else f", ±{1e3 * station['sigma_m']:.2f} mm"
         out.print(f"{path}: stands at {where} m{sigma}")
     out.print(f"written: {output} ({len(stations)} stations)")
-    emit_json(json, "register", {"cloud": str(output), "stations": stations})
+    emit_json({"cloud": str(output), "stations": stations})
 
 
 def _register_sweeps(sweeps: list[Path], calibration: Path, output: Path, out: Terminal) -> list[dict[str, Any]]:
@@ -364,7 +348,8 @@ def _register_sweeps(sweeps: list[Path], calibration: Path, output: Path, out: T
     digest = calibration_files.calibration_digest(calibration)
     with progress_bar("Registering") as progress:
         # Their clouds take a sixth of the time.
-        stages = Stages(progress, (Stage(0.0, 5.0), Stage(1.0)))
+        records = float(sum(map(len, captures)))
+        stages = Stages(progress, (Stage(0.0, 5.0 * records), Stage(records)))
         adjusted, notes = api.register(captures, calibration, progress=stages.part(0))
         api.save_recalibrated_cloud(captures, adjusted, adjusted.scanner, output, calibration_digest=digest)
     out.notes([*calibration_files.calibration_notes(calibration), *notes])

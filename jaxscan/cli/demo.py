@@ -8,13 +8,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, cast
 
 import numpy as np
-import tyro
 
 from jaxscan import api, geometry, simulation, vision
 from jaxscan import report as reports
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import check_paths
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
+from jaxscan.cli.terminal import Terminal, console, emit_json, table
 from jaxscan.errors import CaptureError, MeasurementError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import disk
@@ -30,7 +30,7 @@ FILES = ("calibration.json", "room.ply", "room.png")
 PATCH_M = 0.1
 
 
-def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"), json: JsonTarget = None) -> None:
+def demo(*, output: Annotated[Path, Arg(short="-o")] = Path("demo")) -> None:
     """Calibrate, scan, reconstruct and measure a simulated room: `jaxscan demo`.
 
     Writes calibration.json, room.ply, room.png, and the rendered images and their truth in `captures`. The truth is
@@ -38,14 +38,13 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
 
     Args:
         output: Folder to write to.
-        json: Write the result as JSON too.
     """
     captures = output / "captures"
     reads = {"the capture": (captures / "boards", captures / "sweep")}
     reads["the truth"] = (captures / "truth.json", captures / "truth.npz")
-    check_paths(reads, {"the file": [output / name for name in FILES]}, json=json)
+    check_paths(reads, {"the file": [output / name for name in FILES]})
     _check_folder(output)
-    out = console(json)
+    out = console()
     started = time.perf_counter()
     seconds: dict[str, float] = {}
     with importlib.resources.as_file(importlib.resources.files("jaxscan.data") / "demo.toml") as path:
@@ -110,7 +109,7 @@ def demo(*, output: Annotated[Path, tyro.conf.arg(aliases=["-o"])] = Path("demo"
     out.print(f"{seconds['all']:.0f} s in all; written: {', '.join(str(output / n) for n in FILES)}")
     look = ["jaxscan", "view", str(output / "room.ply"), "-c", str(output / "calibration.json")]
     out.print(f"next: {shlex.join(look)}")
-    emit_json(json, "demo", {"room": room, "distances": lengths, "points": points, "seconds_s": seconds})
+    emit_json({"room": room, "distances": lengths, "points": points, "seconds_s": seconds})
 
 
 def _check_folder(output: Path) -> None:

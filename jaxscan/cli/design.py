@@ -6,32 +6,30 @@ import re
 from pathlib import Path
 from typing import Annotated, Any
 
-import tyro
-
 from jaxscan import api
 from jaxscan import design as rigs
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import check_paths
-from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
+from jaxscan.cli.terminal import Terminal, console, emit_json, table
 from jaxscan.errors import OptionError, OutputError
 from jaxscan.files import disk
 
 
 def design(
     *,
-    range: Annotated[str, tyro.conf.arg(metavar="LENGTH")],
-    sigma: Annotated[str, tyro.conf.arg(metavar="LENGTH")],
-    camera: Annotated[str | None, tyro.conf.arg(metavar="SIZE")] = None,
-    pixel: Annotated[str, tyro.conf.arg(metavar="LENGTH")] = "3.45um",
-    lens: Annotated[str | None, tyro.conf.arg(metavar="LENGTH")] = None,
-    baseline: Annotated[str | None, tyro.conf.arg(metavar="LENGTH")] = None,
-    longest_baseline: Annotated[str, tyro.conf.arg(metavar="LENGTH")] = "0.6m",
-    field: Annotated[str, tyro.conf.arg(metavar="ANGLE")] = "40deg",
-    stripe_noise: Annotated[str | None, tyro.conf.arg(metavar="PIXELS")] = None,
-    calibration_noise: Annotated[str | None, tyro.conf.arg(metavar="PIXELS")] = None,
-    step: Annotated[str, tyro.conf.arg(metavar="ANGLE")] = "0.2deg",
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    range: Annotated[str, Arg("LENGTH")],
+    sigma: Annotated[str, Arg("LENGTH")],
+    camera: Annotated[str | None, Arg("SIZE")] = None,
+    pixel: Annotated[str, Arg("LENGTH")] = "3.45um",
+    lens: Annotated[str | None, Arg("LENGTH")] = None,
+    baseline: Annotated[str | None, Arg("LENGTH")] = None,
+    longest_baseline: Annotated[str, Arg("LENGTH")] = "0.6m",
+    field: Annotated[str, Arg("ANGLE")] = "40deg",
+    stripe_noise: Annotated[str | None, Arg("PIXELS")] = None,
+    calibration_noise: Annotated[str | None, Arg("PIXELS")] = None,
+    step: Annotated[str, Arg("ANGLE")] = "0.2deg",
+    output: Annotated[Path | None, Arg(short="-o")] = None,
     save_rig: Path | None = None,
-    json: JsonTarget = None,
 ) -> None:
     """Choose camera, lens, baseline and laser for an accuracy: `jaxscan design --range 4 --sigma 1mm`.
 
@@ -53,14 +51,13 @@ def design(
         step: Step of the table, for the time of a scan.
         output: Picture to write (.png): sigma against depth, and the alternatives.
         save_rig: Configuration to write, with which `jaxscan simulate` renders this rig.
-        json: Write the result as JSON too.
     """
     step_deg = quantity("--step", step, DEGREES, (0.0125, 90.0))
     if output is not None and output.suffix.lower() != ".png":
         raise OutputError(f'{output}: cannot write "{output.suffix}", known is .png.')
     if save_rig is not None and save_rig.suffix.lower() != ".toml":
         raise OutputError(f'{save_rig}: cannot write "{save_rig.suffix}", known is .toml.')
-    check_paths({}, {"--output": output, "--save-rig": save_rig}, json=json)
+    check_paths({}, {"--output": output, "--save-rig": save_rig})
     wish = rigs.RigWish(
         range_m=quantity("--range", range, METRES, (0.05, 100.0)),
         sigma_m=quantity("--sigma", sigma, METRES, (1e-7, 1.0)),
@@ -89,7 +86,7 @@ def design(
         if path is not None:
             disk.check_writable(path)
     choice = rigs.design_rig(wish)
-    out = console(json)
+    out = console()
     result = numbers(choice, step_deg, _scan_seconds(step_deg))
     show(out, choice, result)
     if output is not None:
@@ -100,7 +97,7 @@ def design(
     if save_rig is not None:
         api.save_designed_rig(choice.design, save_rig, step_deg=step_deg)
         out.print(f"written: {save_rig}; `jaxscan simulate {save_rig} -o captures/design` renders it")
-    emit_json(json, "design", result)
+    emit_json(result)
 
 
 def _scan_seconds(step_deg: float) -> float:

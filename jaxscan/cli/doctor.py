@@ -10,12 +10,11 @@ from importlib import metadata
 from pathlib import Path
 from typing import Annotated, Any, NamedTuple, TypeVar
 
-import tyro
-
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.signals import RigInUse
-from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
+from jaxscan.cli.terminal import Terminal, console, emit_json, table
 from jaxscan.errors import CaptureError, DependencyError, JaxscanError, OptionError
 
 
@@ -59,8 +58,7 @@ def doctor(
     port: str | None = None,
     config: Path | None = None,
     camera: str | None = None,
-    capture: Annotated[Path | None, tyro.conf.arg(metavar="DIR")] = None,
-    json: JsonTarget = None,
+    capture: Annotated[Path | None, Arg("DIR")] = None,
 ) -> None:
     """Check this machine: `jaxscan doctor`. A rig: `jaxscan doctor --config scan.toml`.
 
@@ -71,23 +69,22 @@ def doctor(
         config: Examine the rig that this configuration describes.
         camera: With --config: examine the camera of this id instead. `jaxscan doctor` lists the ids.
         capture: Compare all images of this capture with the sha256 in its journal.
-        json: Write the result as JSON too.
     """
     if camera is not None and config is None:
         raise OptionError(
             "--camera: found without --config, expected with it: the configuration holds the settings of the camera."
         )
-    check_paths({"--config": config, "--capture": capture}, json=json)
-    out = console(json)
+    check_paths({"--config": config, "--capture": capture})
+    out = console()
     if capture is not None:
-        _verify(capture, out, json)
+        _verify(capture, out)
     elif port is None and config is None:
-        _look_at_machine(out, json)
+        _look_at_machine(out)
     else:
-        _look_at_rig(port, config, camera, out, json)
+        _look_at_rig(port, config, camera, out)
 
 
-def _look_at_machine(out: Terminal, json: str | None) -> None:
+def _look_at_machine(out: Terminal) -> None:
     checks = [
         _try("JAX", True, _jax),
         _try("OpenCV", True, lambda: _version("cv2", "opencv-python-headless")),
@@ -113,13 +110,13 @@ def _look_at_machine(out: Terminal, json: str | None) -> None:
     out.print(f"serial ports: {'; '.join(ports) or 'none'}")
     out.print(f"cameras: {'; '.join(cameras) or 'none'}")
     result = {"checks": [check._asdict() for check in (*checks, *extras)], "ports": ports, "cameras": cameras}
-    emit_json(json, "doctor", {"python": platform.python_version(), **result})
+    emit_json({"python": platform.python_version(), **result})
     broken = [check.name for check in checks if check.needed and not check.works]
     if broken:
         raise DependencyError(f"{', '.join(broken)} must work and does not: see the table.")
 
 
-def _look_at_rig(port: str | None, config: Path | None, camera: str | None, out: Terminal, json: str | None) -> None:
+def _look_at_rig(port: str | None, config: Path | None, camera: str | None, out: Terminal) -> None:
     findings: list[dict[str, Any]] = []
 
     def tell(finding: Any) -> None:
@@ -130,14 +127,14 @@ def _look_at_rig(port: str | None, config: Path | None, camera: str | None, out:
 
     # The findings before an error or Ctrl-C are written in any case.
     with contextlib.ExitStack() as stack:
-        stack.callback(lambda: emit_json(json, "doctor", {"rig": findings}))
+        stack.callback(lambda: emit_json({"rig": findings}))
         examine_rig(port, config, camera, tell, say=lambda text: out.print(f"{'':>11}  {text}", style="dim"))
     wrong = [finding["name"] for finding in findings if finding["verdict"] == "wrong"]
     if wrong:
         raise RigUnwell(f"{', '.join(wrong)} must work and does not: see above.")
 
 
-def _verify(capture: Path, out: Terminal, json: str | None) -> None:
+def _verify(capture: Path, out: Terminal) -> None:
     from jaxscan.files.capture import read_texts, seal_note, verify_capture
 
     texts = read_texts(capture)
@@ -153,7 +150,7 @@ def _verify(capture: Path, out: Terminal, json: str | None) -> None:
         out.print(f"note: {note}")
     elif not problems:
         out.print(f"{capture}: all images are as they were written.")
-    emit_json(json, "doctor", {"capture": str(capture), "problems": problems, "notes": [note] if note else []})
+    emit_json({"capture": str(capture), "problems": problems, "notes": [note] if note else []})
     if not problems:
         return
     cures = ["take the records again with jaxscan scan --resume"] * (not all(one.lasting for one in found))

@@ -7,12 +7,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal, NamedTuple
 
 import numpy as np
-import tyro
 
 import jaxscan
 from jaxscan import api, vision
 from jaxscan import report as reports
-from jaxscan.cli.measure import calibrated, notes_first, upright
+from jaxscan.cli.help import Arg
+from jaxscan.cli.measure import calibrated, upright
 from jaxscan.cli.options import (
     CalibrationPath,
     CapturePath,
@@ -26,7 +26,7 @@ from jaxscan.cli.options import (
     positive,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, console, emit_json, table
+from jaxscan.cli.terminal import console, emit_json, table
 from jaxscan.errors import OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import clouds as cloud_files
@@ -48,10 +48,10 @@ def plan(
     /,
     *,
     output: Annotated[
-        Path, tyro.conf.arg(aliases=["-o"], help="Drawing to write; the suffix chooses: .dxf .svg .pdf .png, or .ifc.")
+        Path, Arg(short="-o", text="Drawing to write; the suffix chooses: .dxf .svg .pdf .png, or .ifc.")
     ],
     height: tuple[float, ...] = (1.0,),
-    section: Annotated[tuple[str, ...], tyro.conf.arg(metavar="PLACE")] = (),
+    section: Annotated[tuple[str, ...], Arg("PLACE")] = (),
     scale: int | None = None,
     sheet: Literal["a4", "a3", "a2", "a1", "a0"] = "a4",
     name: str = "",
@@ -61,7 +61,6 @@ def plan(
     calibration: OptionalCalibrationPath = None,
     unit: CloudUnit = None,
     up: CloudUp = None,
-    json: JsonTarget = None,
 ) -> None:
     """Draw a room: `jaxscan plan room.ply -c calibration.json -o plan.dxf`.
 
@@ -80,7 +79,6 @@ def plan(
         north: North on the sheet, in degrees clockwise from up; a scan does not know it.
         dpi: Dots per inch of a .png.
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
-        json: Write the result as JSON too.
     """
     from jaxscan.drawing import Sheet, section_before
 
@@ -94,7 +92,7 @@ def plan(
     is_model = output.suffix.lower() == ".ifc"
     if is_model and cut is not None:
         raise OptionError("--section: an .ifc holds the whole room; write the section as .dxf, .svg, .pdf or .png.")
-    check_paths({"CLOUD": cloud, "--calibration": calibration}, {"--output": output}, json=json)
+    check_paths({"CLOUD": cloud, "--calibration": calibration}, {"--output": output})
     (api.check_ifc_path if is_model else api.check_drawing_path)(output)
     survey, _, notes = _surveyed(cloud, calibration, unit, up)
     ends = section_before(survey, *cut) if isinstance(cut, _Before) else cut
@@ -116,7 +114,7 @@ def plan(
         jaxscan.save_drawing(drawing, output, dpi=dpi)
         remarks = list(drawing.remarks)
         written += f", 1 : {drawing.sheet.scale} on {sheet.upper()}"
-    out = notes_first(notes, json)
+    out = console(notes)
     for line in lines:
         out.print(line)
     out.print(f"frame of the plan: {survey.frame_words()}")
@@ -129,7 +127,7 @@ def plan(
         "± is one standard deviation" + ("" if calibration else "; --calibration adds the calibration's part") + "."
     )
     out.print(written)
-    emit_json(json, "plan", result | {"drawing": str(output), "notes": [*notes, *remarks]})
+    emit_json(result | {"drawing": str(output), "notes": [*notes, *remarks]})
 
 
 def _surveyed(
@@ -223,12 +221,11 @@ def orthophoto(
     cloud: CloudPath,
     /,
     *,
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"])],
+    output: Annotated[Path, Arg(short="-o")],
     pixel_mm: float = 5.0,
     calibration: OptionalCalibrationPath = None,
     unit: CloudUnit = None,
     up: CloudUp = None,
-    json: JsonTarget = None,
 ) -> None:
     """Draw the walls of a room straight on: `jaxscan orthophoto room.ply -o walls`.
 
@@ -239,27 +236,26 @@ def orthophoto(
         output: Folder to write to; it is made where it is missing.
         pixel_mm: Size of a pixel on the wall.
         calibration: Calibration that the cloud was made with.
-        json: Write the result as JSON too.
     """
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.errors import OutputError
 
     positive("--pixel-mm", pixel_mm)
     reads = {"CLOUD": cloud, "--calibration": calibration}
-    check_paths(reads, json=json)
+    check_paths(reads)
     if output.exists() and not output.is_dir():
         raise OutputError(f"{output}: is a file; choose a folder with -o.")
     survey, loaded, notes = _surveyed(cloud, calibration, unit, up)
     notes += [f"{remark}." for remark in survey.outline.remarks]
     pictures = jaxscan.draw_orthophotos(survey, np.asarray(loaded.rgb), pixel_m=pixel_mm / 1e3)
     files = [output / f"{picture.side}.png" for picture in pictures]
-    check_paths(reads, {"the picture": files}, json=json)
+    check_paths(reads, {"the picture": files})
     with disk.reported(f"{output}: cannot be written", error=OutputError), disk.whole_folder(output) as part:
         for picture, file in zip(pictures, files, strict=True):
             words = f"{picture.side}, {pixel_mm:g} mm per pixel"
             content = vision.encode_png(reports.with_scale(picture.rgb, picture.pixel_m, words))
             disk.write_atomically(part / file.name, content, error=OutputError, durable=False)
-    out = notes_first(notes, json)
+    out = console(notes)
     for picture, file in zip(pictures, files, strict=True):
         out.print(f"written: {file}, {100 * picture.seen.mean():.0f} % seen")
     walls = [
@@ -267,7 +263,7 @@ def orthophoto(
         | {"seen": float(picture.seen.mean())}
         for picture, file in zip(pictures, files, strict=True)
     ]
-    emit_json(json, "orthophoto", {"pixel_m": pixel_mm / 1e3, "walls": walls, "notes": notes})
+    emit_json({"pixel_m": pixel_mm / 1e3, "walls": walls, "notes": notes})
 
 
 SMALLEST, LARGEST = 16, 65_500
@@ -283,7 +279,7 @@ def panorama(
     calibration: CalibrationPath,
     output: Annotated[
         Path | None,
-        tyro.conf.arg(aliases=["-o"], help="Picture to write; the suffix chooses: .jpg, .png, or .e57 with the cloud."),
+        Arg(short="-o", text="Picture to write; the suffix chooses: .jpg, .png, or .e57 with the cloud."),
     ] = None,
     cloud: Path | None = None,
     projection: Literal["equirectangular", "cylinder"] = "equirectangular",
@@ -291,7 +287,6 @@ def panorama(
     transforms: Path | None = None,
     undistort: bool = False,
     photographs: bool = False,
-    json: JsonTarget = None,
 ) -> None:
     """Draw the room all around: `jaxscan panorama captures/room -c calibration.json -o room.jpg`.
 
@@ -305,7 +300,6 @@ def panorama(
         transforms: Folder for the photographs with their poses in `transforms.json`, for programs such as nerfstudio.
         undistort: Write those photographs without the distortion of the lens.
         photographs: Put the single photographs into the .e57 too, without distortion and with their poses.
-        json: Write the result as JSON too.
     """
     if output is None and transforms is None:
         raise OptionError("--output: is missing, and --transforms too; at least one of the two is needed.")
@@ -320,13 +314,13 @@ def panorama(
     with_cloud = cloud is not None and not scan
     pictures = [] if output is None else api.panorama_paths(output, with_cloud=with_cloud)
     reads = {"CAPTURE": capture, "--calibration": calibration, "--cloud": cloud}
-    check_paths(reads, {"--output": pictures, "--transforms": transforms}, json=json)
+    check_paths(reads, {"--output": pictures, "--transforms": transforms})
     if output is not None and scan:
         cloud_files.check_cloud_path(output)
     elif output is not None:
         api.check_panorama_path(output, with_cloud=with_cloud)
     sweep, scanner = api.open_capture(capture), api.load_scanner(calibration)
-    out = console(json)
+    out = console()
     notes = [
         *calibration_files.calibration_notes(calibration),
         *sweep.notes,
@@ -359,4 +353,4 @@ def panorama(
             count = api.export_photographs(sweep, scanner, transforms, undistorted=undistort, progress=progress)
         out.print(f"written: {transforms / 'transforms.json'} ({count} photographs)")
         result |= {"transforms": str(transforms / "transforms.json"), "photographs": count}
-    emit_json(json, "panorama", result)
+    emit_json(result)

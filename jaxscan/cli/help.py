@@ -1,4 +1,4 @@
-"""Help: what a verb can be given, its page, answers to mistakes, and completion by shells."""
+"""What a verb can be given, by its signature and docstring: its page, its words as values, completion by shells."""
 
 import difflib
 import inspect
@@ -11,16 +11,24 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 from typing import Annotated, Any, Literal, NamedTuple, Union, get_args, get_origin, get_type_hints
 
-import tyro
-
 
 _LONGEST_CHOICES = 32
 """Choices longer than this are listed in the text, not in the place of the value."""
 
 
+class Arg(NamedTuple):
+    """Mark of a parameter's type: what stands for its value, its short name, and its text if the docstring has none."""
+
+    value: str = ""
+    short: str = ""
+    text: str = ""
+
+
 class Entry(NamedTuple):
     """An argument or option of a verb."""
 
+    key: str
+    """Name of the parameter."""
     names: tuple[str, ...]
     """As pages show them, short ones first; none for an argument."""
     value: str
@@ -58,23 +66,18 @@ def _texts(function: Callable[..., Any]) -> dict[str, str]:
 
 
 def _entry(parameter: inspect.Parameter, hint: Any, texts: Mapping[str, str]) -> Entry:
-    kind, marks = _without_marks(hint)
-    settings: Any = next((mark for mark in marks if hasattr(mark, "metavar")), tyro.conf.arg())
-    name: str = settings.name or parameter.name
-    positional = parameter.kind is parameter.POSITIONAL_ONLY or tyro.conf.Positional in marks
-    kind = _without_none(kind)
-    one, count = _each(kind)
+    kind, mark = get_args(hint) if get_origin(hint) is Annotated else (hint, Arg())
+    key, positional, default = parameter.name, parameter.kind is parameter.POSITIONAL_ONLY, parameter.default
+    one, count = _each(_without_none(kind))
     choices = tuple(map(str, get_args(one))) if get_origin(one) is Literal else ()
-    text: str = settings.help or texts.get(parameter.name, "")
-    default = parameter.default
-    required = default is parameter.empty
+    text: str = mark.text or texts.get(key, "")
+    option, required = "--" + key.replace("_", "-"), default is parameter.empty
     if one is bool:
-        option = "--" + name.replace("_", "-")
-        against = () if tyro.conf.FlagCreatePairsOff in marks else ("--no-" + option.removeprefix("--"),)
-        if default is True:
-            return Entry((option, *against), "", f"{text} Default: on.", many=0)
-        return Entry((option,), "", text, many=0, unshown=against)
-    value = settings.metavar or " ".join([_value(name, one, choices, upper=positional)] * (count or 1))
+        against = f"--no-{option.removeprefix('--')}"
+        if default is False:
+            return Entry(key, (option,), "", text, many=0, unshown=(against,))
+        return Entry(key, (option, against), "", f"{text} Default: on." if default else text, many=0)
+    value = mark.value or " ".join([_value(key, one, choices, upper=positional)] * (count or 1))
     if count is None:
         value += " ..."
     if choices and "|" not in value:
@@ -82,30 +85,23 @@ def _entry(parameter: inspect.Parameter, hint: Any, texts: Mapping[str, str]) ->
     if default not in (None, parameter.empty, ()):
         shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
         text = f"{text} Default: {'this folder' if default == Path() else shown}."
-    names = () if positional else (*(settings.aliases or ()), "--" + name.replace("_", "-"))
-    kind = one if isinstance(one, type) else str
-    return Entry(names, value, text, choices, required, kind, count)
-
-
-def _without_marks(hint: Any) -> tuple[Any, tuple[Any, ...]]:
-    return (get_args(hint)[0], get_args(hint)[1:]) if get_origin(hint) is Annotated else (hint, ())
+    names = () if positional else (*filter(None, [mark.short]), option)
+    return Entry(key, names, value, text, choices, required, type(get_args(one)[0]) if choices else one, count)
 
 
 def _without_none(kind: Any) -> Any:
     if get_origin(kind) not in (Union, types.UnionType):
         return kind
     (left,) = [one for one in get_args(kind) if one is not type(None)]
-    return _without_marks(left)[0]
+    return left
 
 
 def _each(kind: Any) -> tuple[Any, int | None]:
     """The type of one value, and how many there are; None for any number of them."""
-    if get_origin(kind) not in (tuple, list):
+    if get_origin(kind) is not tuple:
         return kind, 1
     inside = get_args(kind)
-    if get_origin(kind) is list or inside[-1] is Ellipsis:
-        return _without_marks(inside[0])[0], None
-    return inside[0], len(inside)
+    return inside[0], None if inside[-1] is Ellipsis else len(inside)
 
 
 def _value(name: str, one: Any, choices: tuple[str, ...], *, upper: bool) -> str:
@@ -130,14 +126,15 @@ GROUPS = {
 }
 """The verbs as the first page lists them."""
 ALWAYS = (
-    Entry(("-h", "--help"), "", "Show this page."),
-    Entry(("--debug",), "", "Show where in the program an error arose."),
+    Entry("json", ("--json",), "FILE", "Write the result as JSON too (- for standard output)."),
+    Entry("help", ("-h", "--help"), "", "Show this page."),
+    Entry("debug", ("--debug",), "", "Show where in the program an error arose."),
 )
 """Options of every verb."""
 PROGRAM = (
-    Entry(("-h", "--help"), "", "Show this page."),
-    Entry(("--version",), "", "Show the version."),
-    Entry(("--completion",), "bash|zsh", "Print what makes this shell complete verbs and options."),
+    Entry("help", ("-h", "--help"), "", "Show this page."),
+    Entry("version", ("--version",), "", "Show the version."),
+    Entry("completion", ("--completion",), "bash|zsh", "Print what makes this shell complete verbs and options."),
 )
 """Options of `jaxscan` without a verb."""
 _WIDEST, _NARROWEST = 100, 24
@@ -154,7 +151,7 @@ def overview(prog: str, description: str, verbs: Mapping[str, str]) -> str:
     for title, names in grouped.items():
         if names:
             lines += ["", f"{title}:", *_listed([(name, short(verbs[name])) for name in names])]
-    options = PROGRAM if prog == "jaxscan" else ALWAYS[:1]
+    options = PROGRAM if prog == "jaxscan" else PROGRAM[:1]
     lines += ["", "Options:", *_listed([(_names(entry), entry.text) for entry in options])]
     lines += ["", *_folded(f"More about a verb, with an example: {prog} VERB --help")]
     return "\n".join(lines) + "\n"
@@ -219,41 +216,59 @@ def unknown_verb(word: str, prog: str, verbs: Sequence[str]) -> str:
     return f'"{word}" is no {kind} of {prog}. {near}All there are: {prog} --help'
 
 
-def mistake(words: Sequence[str], prog: str, entries: Sequence[Entry]) -> str | None:
-    """One line on the first word that a verb does not understand, or on what is missing; None for neither."""
+class Mistake(Exception):
+    """A line on the first word that a verb does not understand, or on what is missing."""
+
+
+def read_words(words: Sequence[str], prog: str, entries: Sequence[Entry]) -> dict[str, Any]:
+    """The values that the words of a verb give, by the names of its parameters and those of `ALWAYS`.
+
+    Raises:
+        Mistake: If a word is not understood, or one is missing.
+    """
     options = {name: entry for entry in (*entries, *ALWAYS) for name in (*entry.names, *entry.unshown)}
     more = f"More: {prog} --help"
-    used, arguments, perhaps = set[str](), list[str](), 0
-    waiting = list(words)
+    found, arguments, waiting = dict[str, Any](), list[str](), list(words)
     while waiting:
         word = waiting.pop(0)
+        if word == "--":
+            arguments += waiting
+            break
         name, given = _option(word)
         if name not in options:
             if re.match(r"--\w|-[a-zA-Z]", word):
-                return f'"{name}" is no option of {prog}. {_near(name, sorted(options))}All there are: {prog} --help'
+                near = _near(name, sorted(options))
+                raise Mistake(f'"{name}" is no option of {prog}. {near}All there are: {prog} --help')
             arguments.append(word)
             continue
-        used.add(name)
         entry = options[name]
+        if entry.many == 0:
+            if given:
+                raise Mistake(f"{name} takes no value. {more}")
+            found[entry.key] = not (name.startswith("--no-") and name != f"--{entry.key.replace('_', '-')}")
+            continue
         count = len(waiting) if entry.many is None else entry.many
         values = given + [waiting.pop(0) for _ in range(count - len(given)) if waiting and _is_value(waiting, options)]
         if len(values) < count and not (entry.many is None and values):
-            return f"{name} needs {entry.value}. {more}"
-        for value in values:
-            if not _fits(value, entry):
-                return f'{name}: found "{value}", expected {_expected(entry)}. {more}'
-        # Words behind an option with any number of values may be arguments.
-        perhaps += len(values) if entry.many is None else 0
+            raise Mistake(f"{name} needs {entry.value}. {more}")
+        try:
+            found[entry.key] = _converted(values, entry)
+        except ValueError as problem:
+            raise Mistake(f"{name}: {problem}. {more}") from problem
     expected = [entry for entry in entries if not entry.names]
     # Where any number of words is allowed, the verb itself refuses none.
-    missing = [entry for entry in expected if entry.required and entry.many == 1][len(arguments) + perhaps :]
-    missing += [entry for entry in entries if entry.names and entry.required and not used & set(entry.names)]
+    missing = [entry for entry in expected if entry.required and entry.many == 1][len(arguments) :]
+    missing += [entry for entry in entries if entry.names and entry.required and entry.key not in found]
     if missing:
         needed = " ".join([*missing[0].names[-1:], missing[0].value])
-        return f"{prog} needs {needed}: {missing[0].text} {_to_type(prog, words, arguments, missing)}{more}"
+        raise Mistake(f"{prog} needs {needed}: {missing[0].text} {_to_type(prog, words, arguments, missing)}{more}")
     if len(arguments) > len(expected) and all(entry.many == 1 for entry in expected):
-        return f'"{arguments[len(expected)]}" is one word too many for {prog}. {more}'
-    return None
+        raise Mistake(f'"{arguments[len(expected)]}" is one word too many for {prog}. {more}')
+    for entry in expected:
+        some = arguments if entry.many is None else arguments[:1]
+        if some or entry.many is None:
+            found[entry.key], arguments = _converted(some, entry), arguments[len(some) :]
+    return found
 
 
 def _to_type(prog: str, words: Sequence[str], arguments: Sequence[str], missing: Sequence[Entry]) -> str:
@@ -275,15 +290,21 @@ def _is_value(waiting: Sequence[str], options: Mapping[str, Entry]) -> bool:
     return _option(waiting[0])[0] not in options
 
 
-def _fits(value: str, entry: Entry) -> bool:
-    if entry.choices:
-        return value in entry.choices
-    if entry.kind in (int, float):
+def _converted(values: Sequence[str], entry: Entry) -> Any:
+    """Words as the values of a parameter.
+
+    Raises:
+        ValueError: If one is none of the choices, or no number.
+    """
+    made = []
+    for value in values:
         try:
-            entry.kind(value)
+            if entry.choices and value not in entry.choices:
+                raise ValueError
+            made.append(entry.kind(value))
         except ValueError:
-            return False
-    return True
+            raise ValueError(f'found "{value}", expected {_expected(entry)}') from None
+    return made[0] if entry.many == 1 else tuple(made)
 
 
 def _expected(entry: Entry) -> str:

@@ -3,12 +3,11 @@
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
-import tyro
-
 from jaxscan import stripes as stripe_search
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import Carries, ImageUp, LaserColour, PixelFormat, StripeAxis, check_paths
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json
+from jaxscan.cli.terminal import Terminal, console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import importing, recording
 from jaxscan.geometry.motion_kinds import MOTIONS, PoseFormat, PoseUnit
@@ -22,10 +21,10 @@ Patterns = tuple[str, ...]
 
 
 def import_(
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")],
+    folder: Annotated[Path, Arg("FOLDER")],
     /,
     *,
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    output: Annotated[Path | None, Arg(short="-o")] = None,
     show: bool = False,
     on: Patterns = (),
     off: Patterns = (),
@@ -49,7 +48,6 @@ def import_(
     pixel_format: PixelFormat | None = None,
     bits: Literal[10, 12, 14, 16] | None = None,
     every: int = 1,
-    json: JsonTarget = None,
 ) -> None:
     """Make a capture of another program's images: `jaxscan import FOLDER -o captures/room --step-deg 0.9`.
 
@@ -95,10 +93,9 @@ def import_(
         pixel_format: Bayer pattern of raw images; grey and colour are seen.
         bits: Bits of the camera in images of 16 bits; without, they are found from the images.
         every: Of a video, take every so many frames.
-        json: Write the result as JSON too.
     """
     # The folder as a whole is read, and nothing in it is ever written.
-    check_paths({"FOLDER": folder}, {"--output": output}, json=json)
+    check_paths({"FOLDER": folder}, {"--output": output})
     if output is None and not show:
         raise OptionError("-o: is needed: the folder of the new capture; --show only shows what would be imported.")
     if output is not None:
@@ -132,7 +129,7 @@ def import_(
     settings = importing.ImageSettings(pixel_format, response, shutter, up, laser_colour, stripe_axis, bits)
     plan = importing.make_plan(folder, request)
     found = importing.describe_images(plan, settings)
-    out = console(json)
+    out = console()
     _show(out, plan, found, laser_colour)
     result = _result(plan, found)
     if output is None or show:
@@ -143,7 +140,7 @@ def import_(
         out.notes(capture.notes)
         out.print(f"written: {output} ({len(capture)} records, {found.header.kind})")
         result["capture"] = str(output)
-    emit_json(json, "import", result)
+    emit_json(result)
 
 
 def _fits(option: str, values: str, fits: bool, given: dict[str, Any]) -> None:
@@ -179,9 +176,15 @@ def _show(out: Terminal, plan: "ImportPlan", found: "ImportedHeader", laser_colo
     if (depth := found.kind.depth) is not None:
         levels = "" if camera.bits is None else f"{len(stripe_search.level_exposures(camera.bits))} levels of "
         out.print(f"  images of 16 bits hold {depth.said}; kept in {levels}8 bits")
-    red = laser_colour == "auto" and camera.pixel_format != "mono8" and not any(one.off for one in plan.records)
+    red = (
+        laser_colour == "auto"
+        and camera.pixel_format != "mono8"
+        and not any(one.on and one.off for one in plan.records)
+    )
     if red and plan.lasers:
-        out.print("  the laser counts as red: there is no laser-off image to learn from; otherwise --laser-colour")
+        out.print(
+            "  the laser counts as red: no laser-on image has a laser-off one to learn from; otherwise --laser-colour"
+        )
     if found.learned is not None:
         out.print(
             f"  response learned: {found.learned.response}, misfit {found.learned.misfit:.2g} codes; linear would "

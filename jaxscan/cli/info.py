@@ -6,14 +6,14 @@ from pathlib import Path
 from typing import Annotated, Any
 
 import numpy as np
-import tyro
 
 from jaxscan import api
 from jaxscan import project as projects
 from jaxscan import report as reports
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import CLOUD_SUFFIXES, check_paths
 from jaxscan.cli.project import counted, in_words
-from jaxscan.cli.terminal import JsonTarget, console, emit_json
+from jaxscan.cli.terminal import console, emit_json
 from jaxscan.errors import ConfigError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import disk
@@ -24,9 +24,7 @@ Facts = dict[str, Any]
 """Facts of a file by their names; None is left out."""
 
 
-def info(
-    file: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FILE")], /, *, json: JsonTarget = None
-) -> None:
+def info(file: Annotated[Path, Arg("FILE")], /) -> None:
     """Say what a file is: `jaxscan info room.ply`.
 
     A cloud, a calibration, a capture, a project or a configuration: its size and age, its frame and unit, what it was
@@ -34,9 +32,8 @@ def info(
 
     Args:
         file: The file, or the folder of a capture.
-        json: Write the result as JSON too.
     """
-    check_paths({"FILE": file}, json=json)
+    check_paths({"FILE": file})
     if file.is_dir():
         facts = _of_capture(file)
     elif file.suffix.lower() == ".json":
@@ -53,12 +50,12 @@ def info(
     files = [one for one in file.rglob("*") if one.is_file()] if file.is_dir() else [file]
     status = [one.stat() for one in files]
     facts |= {"bytes": sum(one.st_size for one in status), "changed": _day(max(one.st_mtime for one in status))}
-    out = console(json)
+    out = console()
     for name, value in facts.items():
         if value is not None and name != "notes":
             out.print(_line(name, value))
     out.notes(facts.get("notes", ()))
-    emit_json(json, "info", {"file": str(file), **facts})
+    emit_json({"file": str(file), **facts})
 
 
 def _of_cloud(path: Path) -> Facts:

@@ -6,10 +6,10 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 
 import jaxscan
 from jaxscan import measurement
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import (
     CloudPath,
     CloudUnit,
@@ -19,7 +19,7 @@ from jaxscan.cli.options import (
     coordinates,
     positive,
 )
-from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
+from jaxscan.cli.terminal import console, emit_json, table
 from jaxscan.errors import MeasurementError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import disk
@@ -46,16 +46,14 @@ def room(
     calibration: OptionalCalibrationPath = None,
     unit: CloudUnit = None,
     up: CloudUp = None,
-    json: JsonTarget = None,
 ) -> None:
     """Wall to wall: `jaxscan measure room room.ply -c calibration.json`.
 
     Args:
         cloud: Cloud of a room, scanned from inside.
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
-        json: Write the result as JSON too.
     """
-    check_paths({"CLOUD": cloud, "--calibration": calibration}, json=json)
+    check_paths({"CLOUD": cloud, "--calibration": calibration})
     scanner, notes = calibrated(calibration)
     points, said = upright(cloud, unit, up)
     notes += said
@@ -70,7 +68,7 @@ def room(
         for name, side in sides.items()
     ]
     more = "sigma covers the noise of the points only; with --calibration it also covers the calibration."
-    _say("room", [table("Room", columns, rows), *([more] if scanner is None else [])], result, notes, json)
+    _say([table("Room", columns, rows), *([more] if scanner is None else [])], result, notes)
 
 
 def distance(
@@ -82,7 +80,6 @@ def distance(
     radius_mm: float = 20.0,
     calibration: OptionalCalibrationPath = None,
     unit: CloudUnit = None,
-    json: JsonTarget = None,
 ) -> None:
     """Between two picked points: `jaxscan measure distance room.ply --a 1 0.2 0.1 --b 1 -0.8 0.1`.
 
@@ -92,32 +89,28 @@ def distance(
         b: Second point, x y z in metres.
         radius_mm: The points within this distance of a picked point are averaged.
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
-        json: Write the result as JSON too.
     """
     coordinates("--a", a)
     coordinates("--b", b)
     positive("--radius-mm", radius_mm)
-    points, scanner, notes = opened(cloud, calibration, unit, json)
+    points, scanner, notes = opened(cloud, calibration, unit)
     found = jaxscan.measure_distance(points, np.array(a), np.array(b), radius_m=radius_mm / 1e3, scanner=scanner)
-    _say("distance", found.words(), finite(dataclasses.asdict(found)), notes, json)
+    _say(found.words(), finite(dataclasses.asdict(found)), notes)
 
 
-def plane(
-    cloud: CloudPath, /, *, at: Point, radius_mm: float = 200.0, unit: CloudUnit = None, json: JsonTarget = None
-) -> None:
+def plane(cloud: CloudPath, /, *, at: Point, radius_mm: float = 200.0, unit: CloudUnit = None) -> None:
     """Flatness around a point: `jaxscan measure plane room.ply --at 1.9 0.2 0.1`.
 
     Args:
         cloud: The cloud.
         at: A point of the plane, x y z in metres.
         radius_mm: The plane is fitted to the points within this distance of it.
-        json: Write the result as JSON too.
     """
     coordinates("--at", at)
     positive("--radius-mm", radius_mm)
-    points, _, notes = opened(cloud, None, unit, json)
+    points, _, notes = opened(cloud, None, unit)
     found = jaxscan.measure_plane(points, np.array(at), radius_m=radius_mm / 1e3)
-    _say("plane", [found.words()], finite(dataclasses.asdict(found)), notes, json)
+    _say([found.words()], finite(dataclasses.asdict(found)), notes)
 
 
 def compare(
@@ -127,7 +120,6 @@ def compare(
     *,
     calibration: OptionalCalibrationPath = None,
     unit: CloudUnit = None,
-    json: JsonTarget = None,
 ) -> None:
     """Against a true or better cloud: `jaxscan measure compare room.ply truth.npz`.
 
@@ -135,9 +127,8 @@ def compare(
         cloud: The cloud.
         truth: The cloud to compare with. If both have the same grid, cell is compared with cell.
         calibration: Calibration that the cloud was made with, for errors along the ray.
-        json: Write the result as JSON too.
     """
-    check_paths({"CLOUD": cloud, "TRUTH": truth, "--calibration": calibration}, json=json)
+    check_paths({"CLOUD": cloud, "TRUTH": truth, "--calibration": calibration})
     scanner, notes = calibrated(calibration)
     (points, said), (true_points, said_of_truth) = in_metres(cloud, unit), in_metres(truth, unit)
     notes += [*said, *said_of_truth]
@@ -149,14 +140,14 @@ def compare(
         f"{found.points:,} points compared; {100 * found.completeness:.1f} % of the true ones have a point",
         f"{found.false_points:,} points where the truth has none",
     ]
-    _say("compare", lines, finite(dataclasses.asdict(found)), notes, json)
+    _say(lines, finite(dataclasses.asdict(found)), notes)
 
 
 def opened(
-    cloud: Path, calibration: Path | None, unit: "Unit | None", json: JsonTarget
+    cloud: Path, calibration: Path | None, unit: "Unit | None"
 ) -> tuple["PointCloud", "Scanner | None", list[str]]:
     """A cloud in metres, the scanner of its calibration, and notes; paths are checked first."""
-    check_paths({"CLOUD": cloud, "--calibration": calibration}, json=json)
+    check_paths({"CLOUD": cloud, "--calibration": calibration})
     scanner, notes = calibrated(calibration)
     points, said = in_metres(cloud, unit)
     return points, scanner, [*notes, *said]
@@ -222,18 +213,12 @@ def finite(result: dict[str, Any]) -> dict[str, Any]:
     return result
 
 
-def notes_first(notes: list[str], json: str | None) -> Terminal:
-    out = console(json)
-    out.notes(notes)
-    return out
-
-
-def _say(what: str, lines: Iterable[Any], result: dict[str, Any], notes: list[str], json: str | None) -> None:
+def _say(lines: Iterable[Any], result: dict[str, Any], notes: list[str]) -> None:
     """Print notes and lines or tables, and write the result as JSON."""
-    out = notes_first(notes, json)
+    out = console(notes)
     for line in lines:
         out.print(line)
-    emit_json(json, f"measure-{what}", result | {"notes": notes})
+    emit_json(result | {"notes": notes})
 
 
 def _error_row(name: str, error: "ErrorStatistics") -> tuple[str, ...]:
@@ -250,7 +235,6 @@ def points(
     within_mm: float = 50.0,
     calibration: OptionalCalibrationPath = None,
     unit: CloudUnit = None,
-    json: JsonTarget = None,
 ) -> None:
     """Between two single points: `jaxscan measure points room.ply --a 1 0.2 0.1 --b 1 -0.8 0.1`.
 
@@ -263,16 +247,15 @@ def points(
         b: Second place, x y z in metres.
         within_mm: A point must lie within this distance of its place.
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
-        json: Write the result as JSON too.
     """
     coordinates("--a", a)
     coordinates("--b", b)
     positive("--within-mm", within_mm)
-    measured, scanner, notes = opened(cloud, calibration, unit, json)
+    measured, scanner, notes = opened(cloud, calibration, unit)
     found = jaxscan.measure_points(measured, np.array(a), np.array(b), within_m=within_mm / 1e3, scanner=scanner)
     start, end = (" ".join(f"{x:.4f}" for x in end) for end in (found.a_m, found.b_m))
     line = f"{found.value_m:.4f} m, sigma {1e3 * found.sigma_m:.2f} mm, from {start} to {end}"
-    _say("points", [line], finite(dataclasses.asdict(found)), notes, json)
+    _say([line], finite(dataclasses.asdict(found)), notes)
 
 
 def sphere(
@@ -284,7 +267,6 @@ def sphere(
     held: bool = False,
     calibration: OptionalCalibrationPath = None,
     unit: CloudUnit = None,
-    json: JsonTarget = None,
 ) -> None:
     """Centre and radius of a sphere: `jaxscan measure sphere room.ply --near 1 0.2 0.1 --radius-mm 70`.
 
@@ -294,12 +276,11 @@ def sphere(
         radius_mm: About its radius; it is found, too.
         held: Keep the radius as it is given, and find the centre only.
         calibration: Calibration that the cloud was made with; sigma then includes the calibration's part.
-        json: Write the result as JSON too.
     """
     coordinates("--near", near)
     positive("--radius-mm", radius_mm)
     coordinates("--radius-mm", (radius_mm,))
-    points, scanner, notes = opened(cloud, calibration, unit, json)
+    points, scanner, notes = opened(cloud, calibration, unit)
     found = jaxscan.measure_sphere(points, np.array(near), radius_m=radius_mm / 1e3, held=held, scanner=scanner)
     centre = " ".join(f"{x:.4f}" for x in found.centre_m)
     sigmas = " ".join(f"{1e3 * x:.2f}" for x in found.centre_sigma_m)
@@ -308,7 +289,7 @@ def sphere(
         f"centre {centre} m, sigmas {sigmas} mm",
         f"radius {found.radius_m:.4f} m, {of_radius}; RMS {1e3 * found.rms_m:.2f} mm of {found.points} points",
     ]
-    _say("sphere", lines, finite(dataclasses.asdict(found)) | {"held": held}, notes, json)
+    _say(lines, finite(dataclasses.asdict(found)) | {"held": held}, notes)
 
 
 def deviations(
@@ -318,14 +299,13 @@ def deviations(
     at: Point,
     radius_mm: float = 500.0,
     cell_mm: float = 50.0,
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    output: Annotated[Path | None, Arg(short="-o")] = None,
     unit: CloudUnit = None,
-    json: JsonTarget = None,
 ) -> None:
     """Deviations from a plane: `jaxscan measure deviations room.ply --at 1.9 0.2 0.1 -o map.png`.
 
     The plane is that of most points around; deviations are in square cells, towards the scanner positive, each with one
-    standard deviation.
+    standard deviation. In the JSON, cells without points are null.
 
     Args:
         cloud: The cloud.
@@ -333,13 +313,12 @@ def deviations(
         radius_mm: The points within this distance of it are looked at.
         cell_mm: Size of a cell.
         output: Picture to write (PNG): deviations in millimetres, and their sigmas beside them.
-        json: Write the result as JSON too; cells without points are null.
     """
     coordinates("--at", at)
     positive("--radius-mm", radius_mm)
     positive("--cell-mm", cell_mm)
     coordinates("--radius-mm", (radius_mm,))
-    check_paths({"CLOUD": cloud}, {"--output": output}, json=json)
+    check_paths({"CLOUD": cloud}, {"--output": output})
     # Imported here, so that `--help` does not load JAX.
     from jaxscan.errors import OutputError
 
@@ -364,4 +343,4 @@ def deviations(
         lines.append(f"written: {output}")
     cells = {name: np.where(found.seen, getattr(found, name), None) for name in ("deviation_m", "sigma_m")}
     places = {name: getattr(found, name) for name in ("points", "cell_m", "origin_m", "across", "up", "normal")}
-    _say("deviations", lines, numbers | {"share_beyond_3_sigma": significant} | places | cells, notes, json)
+    _say(lines, numbers | {"share_beyond_3_sigma": significant} | places | cells, notes)

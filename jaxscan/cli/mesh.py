@@ -4,12 +4,11 @@ import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import tyro
-
 from jaxscan import api, surface
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import CloudPath, OptionalCalibrationPath, at_least, check_paths, positive
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, console, emit_json
+from jaxscan.cli.terminal import console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import clouds as cloud_files
 from jaxscan.surface.mesh import DEFAULT_MESH
@@ -28,7 +27,7 @@ def mesh(
     cloud: CloudPath,
     /,
     *,
-    output: Annotated[Path, tyro.conf.arg(aliases=["-o"], help=_TARGET)],
+    output: Annotated[Path, Arg(short="-o", text=_TARGET)],
     calibration: OptionalCalibrationPath = None,
     texture: Path | None = None,
     texels: int | None = None,
@@ -38,7 +37,6 @@ def mesh(
     sigmas: float = DEFAULT_MESH.sigmas,
     bend: float = DEFAULT_MESH.bend,
     grazing_deg: float = DEFAULT_MESH.grazing_deg,
-    json: JsonTarget = None,
 ) -> None:
     """Make a mesh of a cloud: `jaxscan mesh room.ply -o room.glb`.
 
@@ -56,7 +54,6 @@ def mesh(
         sigmas: How many standard deviations the depths of neighbours may differ by, beyond what their slopes explain.
         bend: How far a neighbour may lie off the surface, as a share of the distance between their rays.
         grazing_deg: Leave out faces seen from further beside their normal [degrees].
-        json: Write the result as JSON too.
     """
     at_least(1, "--texels", texels)
     at_least(4, "--faces", faces)
@@ -72,13 +69,12 @@ def mesh(
         raise OptionError(f"--texels: found with {other}, expected without: there are no cells of the grid.")
     written = api.mesh_paths(output, textured=textured)
     reads = {"CLOUD": cloud, "--calibration": calibration, "--texture": texture}
-    check_paths(reads, {"--output": written}, json=json)
+    check_paths(reads, {"--output": written})
     api.check_mesh_path(output, textured=textured)
     settings = surface.MeshSettings(sigmas=sigmas, bend=bend, grazing_deg=grazing_deg, bridge=bridge)
     points, notes = cloud_files.in_metres(cloud_files.read_cloud(cloud))
     scanner = None if calibration is None else api.load_scanner(calibration)
-    out = console(json)
-    out.notes(f"{cloud}: {note}" for note in notes)
+    out = console(f"{cloud}: {note}" for note in notes)
     start = time.perf_counter()
     if texture is None or scanner is None:
         made = _mesh_of(points, scanner, settings, faces=faces, poisson=poisson)
@@ -108,7 +104,7 @@ def mesh(
         "seconds_s": seconds,
         "texture_px": None if made.texture is None else [made.texture.shape[1], made.texture.shape[0]],
     }
-    emit_json(json, "mesh", result)
+    emit_json(result)
 
 
 def _mesh_of(

@@ -9,12 +9,12 @@ from pathlib import Path
 from types import MappingProxyType
 from typing import TYPE_CHECKING, Annotated, Literal, NamedTuple
 
-import tyro
-
-from jaxscan.cli.terminal import check_json
+from jaxscan.cli.help import Arg
+from jaxscan.cli.terminal import json_target
 from jaxscan.errors import DependencyError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
+from jaxscan.files import disk
 from jaxscan.files.clouds import FORMATS
 from jaxscan.files.disk import COPY_FIRST, is_address
 from jaxscan.geometry.cameras.registry import MODELS
@@ -22,29 +22,29 @@ from jaxscan.geometry.motion_kinds import MOTIONS
 from jaxscan.geometry.motion_kinds import Carries as Carries
 
 
-CapturePath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CAPTURE")]
-CloudPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CLOUD")]
-ConfigPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="CONFIG")]
-OutputPath = Annotated[Path, tyro.conf.arg(aliases=["-o"])]
+CapturePath = Annotated[Path, Arg("CAPTURE")]
+CloudPath = Annotated[Path, Arg("CLOUD")]
+ConfigPath = Annotated[Path, Arg("CONFIG")]
+OutputPath = Annotated[Path, Arg(short="-o")]
 CloudUnit = Annotated[
     Literal["m", "cm", "mm", "inch", "foot", "us-foot"] | None,
-    tyro.conf.arg(help="Unit of a cloud of another program; without, it is guessed where the file does not say it."),
+    Arg(text="Unit of a cloud of another program; without, it is guessed where the file does not say it."),
 ]
 CloudColumns = Annotated[
     str | None,
-    tyro.conf.arg(
-        metavar="NAMES",
-        help="Columns of a text, PLY or PCD of another program in their order: x, y, z, i (intensity), r, g, b, nx, "
+    Arg(
+        "NAMES",
+        text="Columns of a text, PLY or PCD of another program in their order: x, y, z, i (intensity), r, g, b, nx, "
         "ny, nz, sigma_random, and - for one to leave out.",
     ),
 ]
 CloudColours = Annotated[
     Literal["1", "255", "1023", "4095", "65535", "none"] | None,
-    tyro.conf.arg(help="Number of full brightness in a cloud of another program; none leaves its colours out."),
+    Arg(text="Number of full brightness in a cloud of another program; none leaves its colours out."),
 ]
 CloudUp = Annotated[
     Literal["x", "-x", "y", "-y", "z", "-z"] | None,
-    tyro.conf.arg(help="Direction of the cloud that is up: it becomes z. Ours have z up."),
+    Arg(text="Direction of the cloud that is up: it becomes z. Ours have z up."),
 ]
 # Choices of other rooms, written out so that `--help` does not load them; a test compares them.
 Part = Literal["camera", "sheet", "axis"]
@@ -70,10 +70,10 @@ CLOUD_SUFFIXES = " ".join(FORMATS)
 """Suffixes of `jaxscan.files.clouds.WRITERS`, written out so that `--help` does not load the readers and writers."""
 CloudOutputPath = Annotated[
     Path,
-    tyro.conf.arg(aliases=["-o"], help=f"Cloud to write; the suffix chooses the format ({CLOUD_SUFFIXES})."),
+    Arg(short="-o", text=f"Cloud to write; the suffix chooses the format ({CLOUD_SUFFIXES})."),
 ]
-CalibrationPath = Annotated[Path, tyro.conf.arg(aliases=["-c"])]
-OptionalCalibrationPath = Annotated[Path | None, tyro.conf.arg(aliases=["-c"])]
+CalibrationPath = Annotated[Path, Arg(short="-c")]
+OptionalCalibrationPath = Annotated[Path | None, Arg(short="-c")]
 
 
 MAX_COORDINATE_M = 1e8
@@ -143,9 +143,7 @@ def _places(paths: Paths) -> list[Place]:
     return found
 
 
-def check_paths(
-    reads: Paths, writes: Paths = MappingProxyType({}), *, kept: Paths = MappingProxyType({}), json: str | None = None
-) -> None:
+def check_paths(reads: Paths, writes: Paths = MappingProxyType({}), *, kept: Paths = MappingProxyType({})) -> None:
     """Refuse an output that is an input, or another output, also under another name or as a link; and a place for the
     JSON that cannot be written.
 
@@ -153,7 +151,6 @@ def check_paths(
         reads: All files that the verb reads.
         writes: All files that it writes; in the folder of a capture that it reads, only files that are not of it.
         kept: Files of the capture itself that the verb writes.
-        json: Where the result is written as JSON too, "-" for standard output.
 
     Raises:
         JaxscanError: If the JSON cannot be written.
@@ -164,7 +161,7 @@ def check_paths(
     _reads[:] = [place.path for place in inputs]
     known = [(place, _identity(place)) for place in (*inputs, *own)]
     captures = [place for place in inputs if place.is_capture]
-    for place in _places({**writes, "--json": json}):
+    for place in _places({**writes, "--json": json_target()}):
         identity = _identity(place)
         for other, theirs in known:
             if identity & theirs:
@@ -182,7 +179,8 @@ def check_paths(
         for other in inputs:
             if _identity(place) & _identity(other):
                 raise OptionError(f"{other}: is the file in which {place.role} are kept; move it to another folder.")
-    check_json(json)
+    if json_target() not in (None, "-"):
+        disk.check_writable(str(json_target()))
 
 
 def inputs_in_words() -> str:

@@ -8,27 +8,25 @@ import time
 from pathlib import Path
 from typing import Annotated
 
-import tyro
-
 import jaxscan
 from jaxscan import api
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import ConfigPath, OutputPath, Paper, at_least, check_paths
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, console, emit_json
+from jaxscan.cli.terminal import console, emit_json
 from jaxscan.errors import ConfigError, OptionError
 from jaxscan.files import disk
 
 
-Name = Annotated[str | None, tyro.conf.Positional, tyro.conf.arg(metavar="NAME")]
+Name = Annotated[str | None, Arg("NAME")]
 
 
 def init(
     name: Name = None,
     /,
     *,
-    output: Annotated[Path | None, tyro.conf.arg(aliases=["-o"])] = None,
+    output: Annotated[Path | None, Arg(short="-o")] = None,
     list: bool = False,
-    json: JsonTarget = None,
 ) -> None:
     """Write a configuration to start from: `jaxscan init scan.toml`. All there are: `jaxscan init --list`.
 
@@ -36,16 +34,15 @@ def init(
         name: The configuration, with or without .toml; without a name they are listed.
         output: File to write, if not NAME in this folder; an existing one is refused.
         list: Say which configurations there are, in a line each.
-        json: Write the result as JSON too.
     """
     with importlib.resources.as_file(importlib.resources.files("jaxscan.data") / "configs") as folder:
         known = {path.stem: path for path in sorted(folder.glob("*.toml"))}
         if list or name is None:
-            check_paths({}, json=json)
+            check_paths({})
             lines = {f"{stem}.toml": _first_sentence(_text(path)) for stem, path in known.items()}
             for file, line in lines.items():
-                console(json).print(f"{file:24} {line}")
-            emit_json(json, "init", {"written": None, "configurations": lines})
+                console().print(f"{file:24} {line}")
+            emit_json({"written": None, "configurations": lines})
             return
         chosen = known.get(name.removesuffix(".toml"))
         if chosen is None:
@@ -55,12 +52,12 @@ def init(
                 f'"{closest}.toml".'
             )
         text, target = _text(chosen), Path(chosen.name) if output is None else output
-    check_paths({}, {"--output": target}, json=json)
+    check_paths({}, {"--output": target})
     if os.path.lexists(target):
         raise OptionError(f"{target}: exists, and may be yours; choose another name with -o, or move it away.")
     disk.write_atomically(target, text.encode())
-    console(json).print(f"written: {target}")
-    emit_json(json, "init", {"written": str(target), "configuration": chosen.name})
+    console().print(f"written: {target}")
+    emit_json({"written": str(target), "configuration": chosen.name})
 
 
 def _text(path: Path) -> str:
@@ -74,7 +71,7 @@ def _first_sentence(text: str) -> str:
     return re.split(r"(?<=\.) ", words, maxsplit=1)[0]
 
 
-def board(config: ConfigPath, /, *, output: OutputPath, paper: Paper = "A4", json: JsonTarget = None) -> None:
+def board(config: ConfigPath, /, *, output: OutputPath, paper: Paper = "A4") -> None:
     """Print a calibration board: `jaxscan board board.toml -o board.pdf --paper A3`.
 
     In true size, with a ruler to check the print. A board that is larger than the paper goes on several sheets, with
@@ -84,14 +81,13 @@ def board(config: ConfigPath, /, *, output: OutputPath, paper: Paper = "A4", jso
         config: A TOML file with a table [board], such as a configuration for `jaxscan scan`; or a capture.
         output: File to write: .pdf, or .svg, one for each sheet.
         paper: Size of the sheets.
-        json: Write the result as JSON too.
     """
-    check_paths({"CONFIG": config}, {"--output": output}, json=json)
+    check_paths({"CONFIG": config}, {"--output": output})
     described = api.load_board(config)
     sheets = api.draw_board(described, output, paper)
-    check_paths({"CONFIG": config}, {"--output": sheets.files}, json=json)
+    check_paths({"CONFIG": config}, {"--output": sheets.files})
     files = api.write_sheets(sheets)
-    out = console(json)
+    out = console()
     out.print(described.describe())
     out.notes(sheets.notes)
     for file in files:
@@ -99,8 +95,6 @@ def board(config: ConfigPath, /, *, output: OutputPath, paper: Paper = "A4", jso
     out.print("Print it at 100 %, without fitting to the page, and write what you measure into [board].")
     width, height = (float(length) for length in described.outline()[2] - described.outline()[0])
     emit_json(
-        json,
-        "board",
         {
             "files": [str(file) for file in files],
             "board": described.describe(),
@@ -120,7 +114,6 @@ def simulate(
     output: OutputPath,
     every: int = 1,
     seed: int | None = None,
-    json: JsonTarget = None,
 ) -> None:
     """Render a simulated rig: `jaxscan simulate paper.toml -o captures/paper --every 10`.
 
@@ -132,22 +125,17 @@ def simulate(
         output: Folder to create.
         every: Render every n-th step of the sweep only.
         seed: Seed of the noise and of the board poses, instead of the seed in the configuration.
-        json: Write the result as JSON too.
     """
     at_least(1, "--every", every)
     at_least(0, "--seed", seed)
-    check_paths({"CONFIG": config}, {"--output": output}, json=json)
+    check_paths({"CONFIG": config}, {"--output": output})
     settings = jaxscan.load_simulation(config)
     start = time.perf_counter()
     with progress_bar("Rendering") as progress:
         made = jaxscan.simulate(settings, output, every=every, seed=seed, progress=progress)
     seconds = time.perf_counter() - start
-    console(json).print(
-        f"{made.board_pairs} board pairs and {made.sweep_pairs} sweep pairs in {seconds:.0f} s: {output}"
-    )
+    console().print(f"{made.board_pairs} board pairs and {made.sweep_pairs} sweep pairs in {seconds:.0f} s: {output}")
     emit_json(
-        json,
-        "simulate",
         {
             "boards": str(made.boards) if made.board_pairs else None,
             "sweep": str(made.sweep),

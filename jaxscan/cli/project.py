@@ -9,19 +9,19 @@ from collections.abc import Iterator, Sequence, Sized
 from pathlib import Path
 from typing import Annotated, Any, final
 
-import tyro
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TaskID, TextColumn, TimeElapsedColumn
 
 from jaxscan import project as projects
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import at_least, check_paths
 from jaxscan.cli.signals import leave_behind
-from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json, table
+from jaxscan.cli.terminal import Terminal, console, emit_json, table
 from jaxscan.errors import BatchError, JaxscanError, MeasurementError, OptionError
 from jaxscan.files import disk
 from jaxscan.printable import printable
 
 
-ProjectPath = Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="PROJECT")]
+ProjectPath = Annotated[Path, Arg("PROJECT")]
 STATES = ("done", "stale", "failed", "missing")
 
 
@@ -44,10 +44,8 @@ NAME = "project.toml"
 
 
 def init(
-    folder: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FOLDER")] = Path(),
+    folder: Annotated[Path, Arg("FOLDER")] = Path(),
     /,
-    *,
-    json: JsonTarget = None,
 ) -> None:
     """Write the project of what lies in a folder: `jaxscan project init FOLDER`.
 
@@ -55,10 +53,9 @@ def init(
 
     Args:
         folder: The folder that holds captures and calibrations; without one, this one.
-        json: Write the result as JSON too.
     """
     target = folder / NAME
-    check_paths({}, {"FOLDER": target}, json=json)
+    check_paths({}, {"FOLDER": target})
     if os.path.lexists(target):
         raise OptionError(f"{target}: exists, and may be yours; move it away.")
     if not folder.is_dir():
@@ -71,12 +68,12 @@ def init(
         # Conflicts, such as two captures of one name, are for the user to solve in the folder.
         target.unlink()
         raise
-    out = console(json)
+    out = console()
     out.print(f"written: {target} ({len(project.captures)} captures, {steps} steps)")
     out.notes(notes)
     out.print(f"next: {shlex.join(['jaxscan', 'batch', str(target)])}")
     names = [capture.name for capture in project.captures]
-    emit_json(json, "project-init", {"project": str(target), "captures": names, "notes": notes})
+    emit_json({"project": str(target), "captures": names, "notes": notes})
 
 
 _ORDER = ("failed", "stale", "missing", "done")
@@ -84,7 +81,7 @@ _MOST_ROWS = 60
 """Of the table; of more steps, only those that are not done, and so many of them."""
 
 
-def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False, json: JsonTarget = None) -> None:
+def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False) -> None:
     """Say what is done, stale, failed and missing: `jaxscan project status project.toml`.
 
     Below the table, each step that is not done has its reason, and each that is done its notes. A product is stale if
@@ -94,12 +91,11 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
     Args:
         project: The project's file.
         all: List every step, also those that are done.
-        json: Write the result as JSON too.
     """
-    check_paths({"PROJECT": project}, json=json)
+    check_paths({"PROJECT": project})
     with projects.opened(projects.load_project(project)) as found:
         states = found.states
-    out, counts = console(json), counted(states)
+    out, counts = console(), counted(states)
     shown = [one for one in states if all or len(states) <= _MOST_ROWS or one.state != "done"]
     # Rows that need attention come first.
     shown.sort(key=lambda one: _ORDER.index(one.state))
@@ -117,7 +113,7 @@ def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False,
         out.print(f"next: {shlex.join(['jaxscan', 'batch', str(project)])}")
     left_out = list(found.project.notes)
     result = {"counts": counts, "steps": [_as_json(one) for one in states], "left_out": left_out}
-    emit_json(json, "project-status", result)
+    emit_json(result)
 
 
 def _as_json(status: "projects.Status") -> dict[str, Any]:
@@ -126,11 +122,9 @@ def _as_json(status: "projects.Status") -> dict[str, Any]:
 
 
 def compare(
-    first: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="FIRST")],
-    second: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="SECOND")],
+    first: Annotated[Path, Arg("FIRST")],
+    second: Annotated[Path, Arg("SECOND")],
     /,
-    *,
-    json: JsonTarget = None,
 ) -> None:
     """Lengths of two epochs or two versions: `jaxscan project compare old/project.toml new/project.toml`.
 
@@ -142,11 +136,10 @@ def compare(
     Args:
         first: The project's file of the first epoch or version.
         second: That of the second.
-        json: Write the result as JSON too.
     """
-    check_paths({"FIRST": first, "SECOND": second}, json=json)
+    check_paths({"FIRST": first, "SECOND": second})
     found = projects.compare_projects(projects.load_project(first), projects.load_project(second))
-    out = console(json)
+    out = console()
     columns = ("", "first m", "second m", "difference mm", "sigma mm", "")
     out.print(table(f"{first} and {second}", columns, [_row(one) for one in found.lengths]))
     if found.stale:
@@ -158,7 +151,7 @@ def compare(
     result = found._asdict() | {
         "lengths": [one._asdict() | {"difference_m": one.difference_m} for one in found.lengths]
     }
-    emit_json(json, "project-compare", result)
+    emit_json(result)
     changes = _changes(found)
     if changes:
         raise MeasurementError(f"{' and '.join(changes)}.")
@@ -192,7 +185,6 @@ def batch(
     *,
     workers: int | None = None,
     output: Path | None = None,
-    json: JsonTarget = None,
 ) -> None:
     """Make what a project lacks: `jaxscan batch project.toml`.
 
@@ -205,11 +197,10 @@ def batch(
             memory reaches.
         output: Folder of the products, as the project's file has it: needed once where that lies outside of the
             project's folder.
-        json: Write the result as JSON too.
     """
-    check_paths({"PROJECT": project}, json=json)
+    check_paths({"PROJECT": project})
     at_least(1, "--workers", workers)
-    out, start = console(json), time.perf_counter()
+    out, start = console(), time.perf_counter()
     wanted = projects.load_project(project)
     with projects.claimed(wanted, output), projects.opened(wanted, write=True) as found:
         counts = counted(found.states)
@@ -232,7 +223,7 @@ def batch(
         out.print(f"notes on {_many(notes, 'step')}: {command}")
     result = {"done": [row.key for row in done], "failed": failed, "not_begun": dict(report.left), "notes": notes}
     about = {"output": str(wanted.output), "seconds_s": seconds, "left_out": list(wanted.notes)}
-    emit_json(json, "batch", result | about)
+    emit_json(result | about)
     if failed:
         again = shlex.join(["jaxscan", "batch", str(project)])
         behind = _many(report.left, "step")

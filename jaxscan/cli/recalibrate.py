@@ -6,11 +6,11 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 
 from jaxscan import api, recalibration
 from jaxscan import report as calibration_reports
 from jaxscan.cli.calibrate import STYLES
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import (
     CLOUD_SUFFIXES,
     MAX_RANGE_M,
@@ -21,8 +21,8 @@ from jaxscan.cli.options import (
     range_limits,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json
-from jaxscan.errors import CalibrationError, OptionError
+from jaxscan.cli.terminal import Terminal, console, emit_json
+from jaxscan.errors import CalibrationError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
 from jaxscan.files import clouds as cloud_files
@@ -35,29 +35,21 @@ if TYPE_CHECKING:
     from jaxscan.recalibration import Recalibration
 
 
-_Flag = tyro.conf.FlagCreatePairsOff[bool]
-
-
 def recalibrate(
-    sweeps: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="SWEEP")],
+    sweeps: Annotated[tuple[Path, ...], Arg("SWEEP")],
     /,
     *,
     calibration: CalibrationPath,
     output: OutputPath,
     boards: tuple[Path, ...] = (),
-    stations: _Flag = False,
+    stations: bool = False,
     known: Path | None = None,
-    features: _Flag = False,
-    no_features: _Flag = False,
-    closed: _Flag = False,
-    no_closed: _Flag = False,
+    features: bool | None = None,
+    closed: bool | None = None,
     min_range: float = MIN_RANGE_M,
     max_range: float = MAX_RANGE_M,
-    cloud: Annotated[
-        Path | None, tyro.conf.arg(help=f"Cloud of the sweeps with the new calibration ({CLOUD_SUFFIXES}).")
-    ] = None,
+    cloud: Annotated[Path | None, Arg(text=f"Cloud of the sweeps with the new calibration ({CLOUD_SUFFIXES}).")] = None,
     report: Path | None = None,
-    json: JsonTarget = None,
 ) -> None:
     """Recalibrate from sweeps of a room: `jaxscan recalibrate captures/room -c old.json -o new.json`.
 
@@ -71,28 +63,24 @@ def recalibrate(
         boards: Captures of a calibration board with the rig as it is now, beside at least one sweep.
         stations: Every sweep was taken from a place of its own.
         known: Known lengths of the room, and places of the stations (.toml).
-        features: Track features of the laser-off images, also where they have little texture; a note says where that
-            fails.
-        no_features: Track no features; without either, they are tracked where the images have texture.
-        closed: A full turn of the table is exactly one turn (a gear without slip).
-        no_closed: No such assumption, which is the default.
+        features: Track features of the laser-off images, also where they have little texture (a note says where that
+            fails), or nowhere; without either, where the images have texture.
+        closed: A full turn of the table is exactly one turn (a gear without slip), or need not be, as by default.
         min_range: Smallest distance of points from the camera [m].
         max_range: Largest distance of points from the camera [m].
         report: Report to write: an HTML page by which to judge the recalibration.
-        json: Write the result as JSON too.
     """
     range_limits("--min-range", min_range, "--max-range", max_range)
     settings = api.RecalibrationSettings(
         stations=stations,
         stripes=api.ReconstructSettings(min_range_m=min_range, max_range_m=max_range),
-        closed=_either("closed", closed, no_closed),
-        features=_either("features", features, no_features),
+        closed=closed,
+        features=features,
     )
     check_paths(
         {"SWEEP": sweeps, "--boards": boards, "--calibration": calibration, "--known": known},
         {"--output": output, "--cloud": cloud, "--report": report},
         kept={"the stripes": [path / capture_files.CACHE_NAME for path in sweeps]},
-        json=json,
     )
     calibration_files.check_calibration_path(output, with_observations=False)
     if cloud is not None:
@@ -123,14 +111,14 @@ def recalibrate(
         disk.write_atomically(report, reports.recalibration_page(result, title=title, notes=tuple(notes)).encode())
         files["report"] = str(report)
     if result.calibration is not None:
-        out = console(json)
+        out = console()
         out.notes(notes)
         out.print(f"written: {', '.join(files.values())}")
         print_recalibration(out, result)
         out.print(_good_to(result.calibration, api.load_calibration(calibration)))
         next_words = ["jaxscan", "reconstruct", str(sweeps[0]), "-c", str(output), "-o", f"{sweeps[0].name}.ply"]
         out.print(f"next: {shlex.join(next_words)}")
-    emit_json(json, "recalibrate", files | recalibration_json(result))
+    emit_json(files | recalibration_json(result))
     if result.calibration is None:
         sentences = (*reports.words.table_lines(result), f"{reports.words.drift_words(result.drift)}.")
         why = result.refused.removesuffix(".")
@@ -143,13 +131,6 @@ def _good_to(new: "Calibration", old: "Calibration") -> str:
     found = [None if one is None else one.good_to for one in verdicts]
     words = [None if one is None else calibration_reports.words.good_to_words(one) for one in found]
     return f"Good to {words[0] or 'not known'}, before {words[1] or 'not known'}."
-
-
-def _either(option: str, yes: bool, no: bool) -> bool | None:
-    """A choice of two options; None where neither is given."""
-    if yes and no:
-        raise OptionError(f"--{option}: found with --no-{option}, expected one of them.")
-    return True if yes else False if no else None
 
 
 _UNUSUAL = 3.0

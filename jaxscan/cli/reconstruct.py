@@ -21,7 +21,7 @@ from jaxscan.cli.options import (
     range_limits,
 )
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, console, emit_json
+from jaxscan.cli.terminal import console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
@@ -44,7 +44,6 @@ def reconstruct(
     colour: Literal["photographs", "stripe"] = "photographs",
     cache: bool = True,
     compare: bool = True,
-    json: JsonTarget = None,
 ) -> None:
     """Reconstruct a sweep: `jaxscan reconstruct captures/room -c calibration.json -o room.ply`.
 
@@ -64,7 +63,6 @@ def reconstruct(
             takes that of its own record alone.
         cache: Keep the stripes beside the capture, and use them again next time.
         compare: Compare the images with the sha256 in the journal; without, raw frames are read faster.
-        json: Write the result as JSON too.
     """
     at_least(1, "--every", every)
     range_limits("--min-range", min_range, "--max-range", max_range)
@@ -82,12 +80,11 @@ def reconstruct(
         {"CAPTURE": capture, "--calibration": calibration},
         {"--output": output},
         kept={"the stripes": capture / capture_files.CACHE_NAME if cache else None},
-        json=json,
     )
     cloud_files.check_cloud_path(output)
     sweep = api.open_capture(capture, compare=compare).every(every)
     scanner = api.load_scanner(calibration)
-    out = console(json)
+    out = console()
     coloured = colour == "photographs" and api.has_photographs(sweep)
     chosen = api.photograph_notes(sweep, scanner, "points") if coloured else []
     before = [*calibration_files.calibration_notes(calibration), *sweep.notes, *chosen]
@@ -120,8 +117,6 @@ def reconstruct(
     out.print(f"written: {output}")
     out.print(f"next: {shlex.join(['jaxscan', 'view', str(output), '-c', str(calibration)])}")
     emit_json(
-        json,
-        "reconstruct",
         {
             "cloud": str(output),
             "records": len(sweep),

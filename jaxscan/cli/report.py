@@ -4,14 +4,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
-import tyro
 
 import jaxscan
 from jaxscan import report as reports
 from jaxscan.cli.calibrate import summary, write_page
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import CLOUD_SUFFIXES, CloudUnit, CloudUp, OptionalCalibrationPath, OutputPath, check_paths
 from jaxscan.cli.progress import progress_bar
-from jaxscan.cli.terminal import JsonTarget, console, emit_json
+from jaxscan.cli.terminal import console, emit_json
 from jaxscan.errors import OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 def report(
-    result: Annotated[Path, tyro.conf.Positional, tyro.conf.arg(metavar="RESULT")],
+    result: Annotated[Path, Arg("RESULT")],
     /,
     *,
     output: OutputPath,
@@ -34,7 +34,6 @@ def report(
     capture: Path | None = None,
     unit: CloudUnit = None,
     up: CloudUp = None,
-    json: JsonTarget = None,
 ) -> None:
     """Draw the report of a calibration or a cloud: `jaxscan report calibration.json -o report.html`.
 
@@ -48,7 +47,6 @@ def report(
         calibration: Of a cloud: the calibration that it was made with.
         capture: Folder of the capture. Of a calibration its photographs are shown; of a cloud it is searched for
             suspicious steps, which needs the calibration too.
-        json: Write the result as JSON too.
     """
     is_cloud = result.suffix.lower() in CLOUD_SUFFIXES.split()
     for option, value in (("--calibration", calibration), ("--unit", unit), ("--up", up)):
@@ -58,36 +56,32 @@ def report(
         {"RESULT": result, "--calibration": calibration, "--capture": capture},
         {"--output": output},
         kept={"the stripes": capture / capture_files.CACHE_NAME if capture is not None and is_cloud else None},
-        json=json,
     )
     disk.check_writable(output)
     if not is_cloud:
-        _of_calibration(result, output, capture, json)
+        _of_calibration(result, output, capture)
         return
 
     numbers = write_room_report(result, output, calibration=calibration, capture=capture, unit=unit, up=up)
-    out = console(json)
-    out.notes(numbers["notes"])
+    out = console(numbers["notes"])
     for name, side in numbers["dimensions"].items():
         out.print(f"{name} {side['value_m']:.4f} m, sigma {1e3 * side['sigma_m']:.2f} mm")
     for doubt in numbers["doubts"]:
         out.print(f"suspicious: {doubt}")
     out.print(f"{numbers['points']:,} points; {100 * numbers['coverage']:.1f} % of the directions looked at have some")
     out.print(f"written: {output}")
-    emit_json(json, "report", numbers)
+    emit_json(numbers)
 
 
-def _of_calibration(path: Path, output: Path, capture: Path | None, json: str | None) -> None:
+def _of_calibration(path: Path, output: Path, capture: Path | None) -> None:
     drawn, note, reproduced = _drawn(path)
     notes = calibration_files.calibration_notes(path)
     write_page(drawn, output, notes=(note, *notes), path=path, capture=capture)
-    out = console(json)
+    out = console()
     out.print(note, style="" if reproduced else "bold yellow")
     out.notes(notes)
     out.print(f"written: {output}")
     emit_json(
-        json,
-        "report",
         {"calibration": str(path), "report": str(output), "reproduced": reproduced, "notes": notes} | summary(drawn),
     )
 

@@ -7,14 +7,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
 import numpy as np
-import tyro
 
 from jaxscan import api
+from jaxscan.cli.help import Arg
 from jaxscan.cli.options import CLOUD_SUFFIXES, ConfigPath, OptionalCalibrationPath, OutputPath, check_paths
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.scan_display import ScanDisplay, ScanPlan, sweep_header
 from jaxscan.cli.signals import RigInUse
-from jaxscan.cli.terminal import JsonTarget, Terminal, console, emit_json
+from jaxscan.cli.terminal import Terminal, console, emit_json
 from jaxscan.errors import CaptureError, JaxscanError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
@@ -42,11 +42,10 @@ def scan(
     port: str | None = None,
     calibration: OptionalCalibrationPath = None,
     cloud: Annotated[
-        Path | None, tyro.conf.arg(help=f"With --calibration: cloud to write at the end ({CLOUD_SUFFIXES}).")
+        Path | None, Arg(text=f"With --calibration: cloud to write at the end ({CLOUD_SUFFIXES}).")
     ] = None,
     smooth: Literal["off", "edge"] = "edge",
     place_command: str | None = None,
-    json: JsonTarget = None,
 ) -> None:
     """Scan with a rig: `jaxscan scan scan.toml -o captures/room`.
 
@@ -60,8 +59,8 @@ def scan(
         port: Serial port instead of the port in the configuration; "auto" takes the only controller there is.
         calibration: Calibration of the rig; with it points are counted during the scan.
         smooth: With --cloud: whether a point uses its neighbours along the stripe, as of `jaxscan reconstruct`.
-        place_command: With --boards: command that places the board; the number of the pose is appended to it.
-        json: Write the result as JSON too.
+        place_command: With --boards: command that places the board; the number of the pose is appended to it,
+            and `none` at the end.
     """
     # Imported here, so that other verbs and `--help` load neither hardware drivers nor JAX.
     from scanrig.cameras import open_camera
@@ -76,14 +75,13 @@ def scan(
     check_paths(
         {"CONFIG": config, "--calibration": calibration, "--output": output},
         {"--cloud": cloud},
-        json=json,
     )
     rig = load_rig(config)
     if boards and rig.board is None:
         raise OptionError(f"{config}: has no [board] table, which --boards needs.")
     if not resume and (output / capture_files.HEADER_NAME).exists():
         raise OptionError(f"--output: {output} holds a capture already; add --resume, or choose another folder.")
-    out = console(json)
+    out = console()
     plan = ScanPlan.of(rig, boards=boards)
     plan.show(out, rig, output)
     notes = [*plan.notes]
@@ -119,7 +117,7 @@ def scan(
         notes += done.get("notes", [])
     if result.status == "complete":
         out.print(f"next: {_next_command(boards, output, calibration, cloud)}")
-    emit_json(json, "scan", {**_as_json(result), "capture": str(output), **done, "notes": notes})
+    emit_json({**_as_json(result), "capture": str(output), **done, "notes": notes})
     if result.status != "complete":
         given = {"--port": port, "-c": calibration, "--cloud": cloud, "--place-command": place_command}
         words = ["jaxscan", "scan", str(config), "-o", str(output), *(["--boards"] if boards else [])]

@@ -5,10 +5,10 @@ import json
 import os
 import sys
 from collections.abc import Iterable, Iterator, Sequence
+from contextvars import ContextVar
 from pathlib import Path
-from typing import Annotated, Any, NamedTuple, final
+from typing import Any, NamedTuple, final
 
-import tyro
 from rich.console import Console
 from rich.measure import Measurement
 from rich.table import Table
@@ -112,34 +112,46 @@ def _raise_again() -> None:
     raise
 
 
-JsonTarget = Annotated[
-    str | None, tyro.conf.arg(name="json", metavar="FILE", help="Write the result as JSON too (- for standard output).")
-]
+class _Json(NamedTuple):
+    """Where the running verb writes its result as JSON, "-" for standard output, and its name."""
+
+    target: str
+    verb: str
 
 
-def check_json(target: str | None) -> None:
-    """Check that the JSON can be written, before the work begins.
-
-    Raises:
-        JaxscanError: If its folder is missing or cannot be written.
-    """
-    if target is not None and target != "-":
-        disk.check_writable(target)
+_json: ContextVar[_Json | None] = ContextVar("json", default=None)
 
 
-def emit_json(target: str | None, verb: str, result: dict[str, Any]) -> None:
-    """Write `result` as `jaxscan-<verb>/1` to a file, or to standard output for "-"; arrays become lists.
+@contextlib.contextmanager
+def json_to(target: str | None, verb: str) -> Iterator[None]:
+    """Within `with`, the result of a verb is written as JSON too; with None it is not."""
+    token = _json.set(None if target is None else _Json(target, verb))
+    try:
+        yield
+    finally:
+        _json.reset(token)
+
+
+def json_target() -> str | None:
+    """Where the running verb writes JSON: a file, "-" for standard output, or nowhere."""
+    found = _json.get()
+    return None if found is None else found.target
+
+
+def emit_json(result: dict[str, Any]) -> None:
+    """Write the verb's result as `jaxscan-<verb>/1`, if that was asked for; arrays become lists.
 
     Raises:
         JaxscanError: If it cannot be written.
         BrokenPipeError: If nobody reads standard output.
     """
-    if target is None:
+    found = _json.get()
+    if found is None:
         return
-    entries = {"format": f"jaxscan-{verb}/1", **result}
+    entries = {"format": f"jaxscan-{found.verb}/1", **result}
     text = json.dumps(entries, indent=2, allow_nan=False, default=lambda array: array.tolist()) + "\n"
-    if target != "-":
-        disk.write_atomically(Path(target), text.encode())
+    if found.target != "-":
+        disk.write_atomically(Path(found.target), text.encode())
         return
     if sys.stdout is None:
         raise OutputError("standard output: is closed, so that --json - cannot be written.")
@@ -159,6 +171,8 @@ def _reported() -> Iterator[None]:
         raise OutputError(f"standard output: cannot be written: {problem.strerror}.") from problem
 
 
-def console(json_target: str | None = None) -> Terminal:
-    """The terminal for people: standard output, or standard error where the JSON goes to standard output."""
-    return Terminal(stderr=json_target == "-")
+def console(notes: Iterable[str] = ()) -> Terminal:
+    """The terminal for people, with notes on it: standard output, or standard error if the JSON goes to that."""
+    out = Terminal(stderr=json_target() == "-")
+    out.notes(notes)
+    return out

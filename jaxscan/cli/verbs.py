@@ -1,17 +1,24 @@
 """The verbs: one file each, imported when the verb is called."""
 
-import functools
 import importlib
 import sys
 from collections.abc import Callable, Sequence
-from typing import Any, NoReturn
-
-import tyro
+from typing import NoReturn
 
 import jaxscan
-from jaxscan.cli.help import SHELLS, Verb, completion, entries_of, mistake, overview, short, unknown_verb, verb_page
-from jaxscan.cli.terminal import Terminal
-from jaxscan.printable import printable
+from jaxscan.cli.help import (
+    SHELLS,
+    Mistake,
+    Verb,
+    completion,
+    entries_of,
+    overview,
+    read_words,
+    short,
+    unknown_verb,
+    verb_page,
+)
+from jaxscan.cli.terminal import Terminal, json_to
 
 
 DESCRIPTION = "A camera, a line laser and a turntable as a precise 3D scanner for rooms."
@@ -93,61 +100,50 @@ def parse(words: Sequence[str]) -> Callable[[], None]:
     Raises:
         SystemExit: After a request for help, or a mistake, was answered.
     """
-    shown = [printable(word) for word in words]
-    if shown == list(words):
-        return _parse(shown)
-    # A name from the disk may hold commands for the terminal, and an answer to a mistake quotes words.
-    try:
-        return _parse(words, answer=False)
-    except SystemExit:
-        return _parse(shown)
-
-
-def _parse(words: Sequence[str], *, answer: bool = True) -> Callable[[], None]:
     words = list(words)
     if words == ["--version"]:
         return lambda: Terminal().print(f"jaxscan {jaxscan.__version__}")
     if words[:1] == ["--completion"]:
-        return _completion(words[1:], answer=answer)
+        return _completion(words[1:])
     prog, says, verbs = "jaxscan", DESCRIPTION, VERBS
     above = words[:1] if words and words[0] in BELOW else []
     if above:
         (first,) = above
         prog, says, verbs, words = f"jaxscan {first}", short(VERBS[first]), BELOW[first], words[1:]
     if not words or words[0] in HELP:
-        if answer:
-            print(overview(prog, says, verbs), end="", file=sys.stdout if words else sys.stderr)
+        print(overview(prog, says, verbs), end="", file=sys.stdout if words else sys.stderr)
         raise SystemExit(0 if words else USAGE)
     verb, *rest = words
     if verb not in verbs:
-        _leave(unknown_verb(verb, prog, list(verbs)), answer)
+        _leave(unknown_verb(verb, prog, list(verbs)))
     function = load_verb(*above, verb)
     if set(HELP) & set(rest):
-        if answer:
-            print(verb_page(f"{prog} {verb}", function), end="")
+        print(verb_page(f"{prog} {verb}", function), end="")
         raise SystemExit(0)
-    wrong = mistake(rest, f"{prog} {verb}", entries_of(function))
-    if wrong:
-        _leave(wrong, answer)
+    entries = entries_of(function)
+    try:
+        values = read_words(rest, f"{prog} {verb}", entries)
+    except Mistake as mistake:
+        _leave(str(mistake))
+    target = values.pop("json", None)
+    arguments = [values.pop(entry.key) for entry in entries if not entry.names and entry.key in values]
 
-    @functools.wraps(function)
-    def bind(*positional: Any, **options: Any) -> Any:
-        return functools.partial(function, *positional, **options)
+    def work() -> None:
+        with json_to(target, "-".join([*above, verb])):
+            function(*arguments, **values)
 
-    bound: Callable[[], None] = tyro.cli(bind, prog=f"{prog} {verb}", args=rest, console_outputs=answer)
-    return bound
+    return work
 
 
-def _completion(words: Sequence[str], *, answer: bool) -> Callable[[], None]:
+def _completion(words: Sequence[str]) -> Callable[[], None]:
     if len(words) != 1 or words[0] not in SHELLS:
-        _leave(f"--completion needs the name of a shell: {', '.join(SHELLS)}.", answer)
+        _leave(f"--completion needs the name of a shell: {', '.join(SHELLS)}.")
     names = [(name,) for name in VERBS] + [(first, name) for first, verbs in BELOW.items() for name in verbs]
     known = [Verb(name, entries_of(load_verb(*name))) for name in names]
     return lambda: print(completion(words[0], known), end="")
 
 
-def _leave(line: str, answer: bool) -> NoReturn:
+def _leave(line: str) -> NoReturn:
     """Answer a mistake with one line, and end."""
-    if answer:
-        Terminal(stderr=True).print(f"jaxscan: {line}")
+    Terminal(stderr=True).print(f"jaxscan: {line}")
     raise SystemExit(USAGE)

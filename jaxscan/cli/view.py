@@ -12,12 +12,12 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import numpy as np
-import tyro
 
 from jaxscan import project as projects
-from jaxscan.cli.measure import calibrated, notes_first
+from jaxscan.cli.help import Arg
+from jaxscan.cli.measure import calibrated
 from jaxscan.cli.options import CloudUnit, CloudUp, OptionalCalibrationPath, check_paths, need_pages
-from jaxscan.cli.terminal import JsonTarget, emit_json
+from jaxscan.cli.terminal import console, emit_json
 from jaxscan.errors import CaptureError, CloudError, OptionError
 from jaxscan.files import clouds as cloud_files
 from jaxscan.files import disk
@@ -35,21 +35,21 @@ LARGEST_PICTURE = 200_000_000
 
 
 def view(
-    clouds: Annotated[tuple[Path, ...], tyro.conf.Positional, tyro.conf.arg(metavar="CLOUD")],
+    clouds: Annotated[tuple[Path, ...], Arg("CLOUD")],
     /,
     *,
     calibration: OptionalCalibrationPath = None,
-    panorama: Annotated[tuple[Path, ...], tyro.conf.arg(metavar="PATH")] = (),
+    panorama: Annotated[tuple[Path, ...], Arg("PATH")] = (),
     unit: CloudUnit = None,
     up: CloudUp = None,
     host: str = HOST,
     web_port: int = PORT,
     open: bool = True,
-    json: JsonTarget = None,
 ) -> None:
     """Look around in clouds: `jaxscan view room.ply -c calibration.json`.
 
-    Opens a page in the browser: drag to turn, click to measure. Ctrl-C ends it.
+    Opens a page in the browser: drag to turn, click to measure. Ctrl-C ends it. The JSON holds the address
+    without its token.
 
     Args:
         clouds: One or more clouds, to be shown in one place or side by side; or a project.toml, for the clouds that it
@@ -61,10 +61,9 @@ def view(
             is printed.
         web_port: TCP port of the page; 0 for any that is free.
         open: Open the browser of this machine, where it has a screen.
-        json: Write the address, without its token, as JSON too.
     """
     need_pages("The viewer", "view")
-    check_paths({"CLOUD": clouds, "--panorama": panorama, "--calibration": calibration}, json=json)
+    check_paths({"CLOUD": clouds, "--panorama": panorama, "--calibration": calibration})
     files = [path for path in clouds if path.suffix.lower() == ".toml"]
     clouds, missing = with_projects(clouds)
     if not clouds:
@@ -86,7 +85,7 @@ def view(
         if picture is not None and not knows_its_place(one.cloud):
             raise OptionError(f"--panorama: {path} does not say where its scanner stood, so nobody can stand there.")
         named.append(Named(str(path), one.cloud, turned=one.turned, panorama=picture, words=words))
-    out = notes_first(notes, json)
+    out = console(notes)
     address = open_address(host, web_port, option="--web-port")
     with ExitStack() as stack:
         products = partial(products_of, files) if files else None
@@ -94,7 +93,7 @@ def view(
         for line in address.invitation():
             out.print(line)
         out.print("Ctrl-C ends it.")
-        emit_json(json, "view", {"url": address.url(), "notes": notes})
+        emit_json({"url": address.url(), "notes": notes})
         if open and _has_screen():
             stack.enter_context(in_browser(address.url(with_token=True)))
         signal.pause() if hasattr(signal, "pause") else input()

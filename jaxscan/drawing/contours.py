@@ -3,7 +3,7 @@
 import numpy as np
 
 from jaxscan.measurement.grid import Quads, rasterise
-from jaxscan.measurement.outline.loops import is_within
+from jaxscan.measurement.outline.cells import is_within
 
 
 STEEP = 4.0

@@ -7,8 +7,8 @@ from typing import Literal
 import numpy as np
 
 from jaxscan.drawing.sheet import Sheet
-from jaxscan.measurement.checked import LEAST_KNOWN
 from jaxscan.measurement.outline import Estimate
+from jaxscan.measurement.samples import LEAST_KNOWN
 
 
 TEXT_MM, SMALL_MM = 2.5, 1.8

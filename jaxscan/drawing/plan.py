@@ -26,8 +26,8 @@ from jaxscan.drawing.survey import Survey, outward
 from jaxscan.errors import MeasurementError
 from jaxscan.measurement.grid import Quads
 from jaxscan.measurement.outline import Estimate, Opening, Side
-from jaxscan.measurement.outline.clear import clear_distances
 from jaxscan.measurement.outline.openings import difference
+from jaxscan.measurement.outline.outline import clear_distances
 
 
 ROW_MM = 9.0

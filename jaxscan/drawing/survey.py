@@ -9,7 +9,7 @@ import numpy as np
 from jaxscan.geometry import Scanner
 from jaxscan.measurement.grid import Quads, quads_of
 from jaxscan.measurement.outline import Opening, RoomOutline, Side, find_openings, measure_outline
-from jaxscan.measurement.outline.loops import distance_to, is_within
+from jaxscan.measurement.outline.cells import distance_to, is_within
 from jaxscan.measurement.samples import Cloud, places_of
 
 
@@ -38,7 +38,7 @@ class Survey:
 
     def walls(self) -> Iterator["Wall"]:
         """All sides of all loops, from corner to corner on the floor."""
-        for loop, corners, openings in zip(self.outline.loops, self.outline.corners(), self.openings, strict=True):
+        for loop, corners, openings in zip(self.outline.cells, self.outline.corners(), self.openings, strict=True):
             at = np.array([corner.at[:2] for corner in corners])
             yield from map(Wall, loop, at, np.roll(at, -1, 0), openings)
 

@@ -61,6 +61,7 @@ if TYPE_CHECKING:
         nearest_rotation,
         quaternion,
         rigid,
+        rotation_vectors,
         transform,
         turn,
     )

@@ -1,4 +1,4 @@
-"""Closed-form fits: principal axes, planes, axes of rotations, homographies; scatter by the median, roots of covariances."""
+"""Closed-form fits: principal axes, planes, axes of rotations, homographies; medians, and roots of covariances."""
 
 from typing import NamedTuple
 

@@ -123,6 +123,26 @@ class Scanner(ArrayModule):
         """The scanner moved by `step` in its minimal coordinates; it has no covariance."""
         return self.with_rig(self.rig.retract(step))
 
+    def values(self) -> Float[np.ndarray, " params"]:
+        """Values of the minimal coordinates; 0 for those of directions and points, which are steps from them."""
+        with jax.enable_x64(True):
+            camera = np.asarray(self.camera.parameters(), np.float64)
+        sheets = [[0.0, 0.0, float(d), *bow] for d, bow in zip(self.lasers.distance, self.lasers.bow, strict=True)]
+        table = self.turntable
+        angles = [0.0] * 4 + [float(table.gain), *table.harmonics] if isinstance(table, Turntable) else []
+        found = np.concatenate([camera, *np.asarray(sheets, np.float64), np.asarray(angles, np.float64)])
+        return np.pad(found, (0, len(self.parameter_names()) - len(found)))
+
+    def departure(self, other: "Scanner") -> Float[np.ndarray, " params"]:
+        """How far another scanner of the same kind is from this one, in the minimal coordinates of this one."""
+        with jax.enable_x64(True):
+            parts = [np.asarray(other.camera.parameters()) - np.asarray(self.camera.parameters())]
+        for index in range(len(self.laser_names)):
+            old, new = self.laser(index), other.laser(index)
+            parts += [np.asarray(old.basis) @ (np.asarray(new.normal) - np.asarray(old.normal))]
+            parts += [np.atleast_1d(new.distance - old.distance), np.asarray(new.bow - old.bow)]
+        return np.concatenate([*parts, np.asarray(self.turntable.departure(other.turntable))]).astype(np.float64)
+
     def with_rig(self, rig: Rig) -> "Scanner":
         """Another rig under the names and with the image size of this one, without a covariance."""
         camera = replace(rig.camera, width=self.camera.width, height=self.camera.height)

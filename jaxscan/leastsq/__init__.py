@@ -5,9 +5,20 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 if TYPE_CHECKING:
     from jaxscan.geometry import MEDIAN_TO_SIGMA
-    from jaxscan.leastsq.arrow import Arrow, Covariance, covariance_of, reduce_arrow, solve_arrow, undetermined
+    from jaxscan.leastsq.arrow import (
+        AbstractProblem,
+        Arrow,
+        Covariance,
+        Linear,
+        Normal,
+        Unknowns,
+        covariance_of,
+        reduce_arrow,
+        solve_arrow,
+        sum_arrow,
+        undetermined,
+    )
     from jaxscan.leastsq.fit import Fit, Group, Prior, fit, minimised
-    from jaxscan.leastsq.problem import AbstractProblem, Linear, Normal, Unknowns, sum_arrow
     from jaxscan.leastsq.robust import Cauchy, Huber, Loss, chance_of, keep_inliers, noise_component, robust_noise
 else:
     load_on_use(__name__)

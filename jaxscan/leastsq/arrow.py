@@ -1,13 +1,17 @@
-"""The normal equations of a block arrow, their solution and their inverse by Schur's complement.
+"""The normal equations of a block arrow, what the solver asks of a problem that has some, and their solution.
 
 Shared unknowns meet every residual, those of a block (a board's pose, a plane, a point, a station) only residuals of
-their own, so that blocks are eliminated one by one. In NumPy on the host, or in JAX inside of a compiled solve.
+their own, so that blocks are eliminated one by one, by Schur's complement. In NumPy on the host, or in JAX inside of a
+compiled solve.
 
 Source: Triggs et al., Bundle adjustment: a modern synthesis (2000), section 6.
 """
 
+import abc
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
+import equinox as eqx
 import jax.numpy as jnp
 import jax.scipy.linalg as jsl
 import numpy as np
@@ -50,7 +54,7 @@ class Covariance(NamedTuple):
     """The inverse of J'J, by blocks; NumPy. Unknowns that meet nothing have variance 1, and are independent."""
 
     information: Float[np.ndarray, "shared shared"]
-    """Of the shared unknowns, with all blocks free."""
+    """Information on the shared unknowns, with all blocks free."""
     shared: Float[np.ndarray, "shared shared"]
     coupling: Float[np.ndarray, "blocks own shared"]
     """How blocks follow the shared unknowns, with a minus."""
@@ -163,3 +167,68 @@ def _solve(xp: Any, matrix: Float[Array, "... n n"], right: Float[Array, "... n 
     if xp is np:
         return np.linalg.solve(matrix, right)
     return jsl.cho_solve((jnp.linalg.cholesky(matrix), True), right)
+
+
+class Unknowns(NamedTuple):
+    """Values, or a step, of all unknowns."""
+
+    shared: Float[Array, " shared"]
+    local: Float[Array, "blocks own"]
+
+
+class Linear(NamedTuple):
+    """A problem at a point, to first order."""
+
+    arrow: Arrow
+    """The normal equations J'J and J'r."""
+    more: Any
+    """Anything that the end of a solve should have beside them; a tree of arrays."""
+
+
+class AbstractProblem(eqx.Module):
+    """What the solver asks of a problem."""
+
+    @abc.abstractmethod
+    def linearise(self, y: Any) -> tuple[Any, Linear]:
+        """Whitened residuals at a point, a tree of arrays, and the problem to first order there."""
+
+    @abc.abstractmethod
+    def move(self, y: Any, step: Unknowns) -> Any:
+        """The point to which a step of the arrow's unknowns leads."""
+
+
+class Normal(NamedTuple):
+    """The parts of owners in the normal equations, by the shared unknowns and then by the one block that each meets."""
+
+    square: Float[Array, "owners numbers numbers"]
+    """J'J of the owner's whitened residuals."""
+    gradient: Float[Array, "owners numbers"]
+    """J'r."""
+    block: Int[Array, " owners"] | None = None
+    """Which block; None where they meet none, and have no derivatives by one."""
+    chain: Float[Array, "owners numbers unknowns"] | None = None
+    """Where J has derivatives by other numbers of the owner: those of these by the unknowns. Thousands of residuals
+    may share a few such numbers."""
+
+
+def sum_arrow(parts: Sequence[Normal], shared: int, blocks: tuple[int, int]) -> Arrow:
+    """J'J and J'r of all owners."""
+    count, own = blocks
+    dtype = parts[0].square.dtype
+    matrix, gradient = jnp.zeros((shared, shared), dtype), jnp.zeros(shared, dtype)
+    whole, right = jnp.zeros((count, shared + own, shared + own), dtype), jnp.zeros((count, shared + own), dtype)
+    for square, times, block, chain in parts:
+        if chain is not None:
+            follow = jnp.swapaxes(chain, 1, 2)
+            square, times = follow @ square @ chain, (follow @ times[..., None])[..., 0]
+        if block is None:
+            matrix, gradient = matrix + square.sum(0), gradient + times.sum(0)
+        else:
+            whole, right = whole.at[block].add(square), right.at[block].add(times)
+    return Arrow(
+        matrix + whole[:, :shared, :shared].sum(0),
+        whole[:, :shared, shared:],
+        whole[:, shared:, shared:],
+        gradient + right[:, :shared].sum(0),
+        right[:, shared:],
+    )

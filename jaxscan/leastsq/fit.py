@@ -19,12 +19,21 @@ from jaxtyping import Float, Int
 from jaxscan.compiling import compile_sooner
 from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Array
-from jaxscan.leastsq.arrow import Arrow, Covariance, covariance_of, undetermined
-from jaxscan.leastsq.problem import AbstractProblem, Linear, Normal, Unknowns, sum_arrow
+from jaxscan.leastsq.arrow import (
+    AbstractProblem,
+    Arrow,
+    Covariance,
+    Linear,
+    Normal,
+    Unknowns,
+    covariance_of,
+    sum_arrow,
+    undetermined,
+)
 from jaxscan.leastsq.robust import Loss, noise_component
 
 
-# Of the first step, relative to J'J.
+# Damping of the first step, relative to J'J.
 _DAMPING = 1e-4
 
 
@@ -113,7 +122,7 @@ class Fit:
     """The shared unknowns, a tree as it was given."""
     blocks: Float[np.ndarray, "blocks own"]
     residuals: tuple[Float[np.ndarray, "_owners _rows"], ...]
-    """Of each group, in standard deviations; of a robust loss the root (`Loss.root`)."""
+    """Residuals of each group, in standard deviations; with a robust loss its root (`Loss.root`)."""
     slopes: tuple[Float[np.ndarray, "_owners _rows _unknowns"], ...]
     """Their derivatives by the shared unknowns and the block of the owner."""
     block: tuple[Int[np.ndarray, " _owners"] | None, ...]
@@ -127,7 +136,7 @@ class Fit:
 
     @cached_property
     def covariance(self) -> Covariance:
-        """Of all unknowns; shared ones in the order of the tree's leaves.
+        """Covariance of all unknowns; shared ones in the order of the tree's leaves.
 
         Raises:
             CalibrationError: If the residuals leave a combination of unknowns undetermined.
@@ -221,7 +230,7 @@ def minimised(problem: AbstractProblem, y: Any, damping: float, tolerance: float
     Args:
         problem: The problem.
         y: Where to begin.
-        damping: Of the first step, relative to the diagonal of J'J [1].
+        damping: Damping of the first step, relative to the diagonal of J'J [1].
         tolerance: Root mean square change of unknowns and of whitened residuals at which to stop [1].
         max_steps: Evaluations at most; 1 gives the residuals and normal equations of `y` itself.
     """

@@ -13,8 +13,7 @@ import optimistix as optx
 from jaxtyping import Bool, Float, Int
 
 from jaxscan.geometry import Array
-from jaxscan.leastsq.arrow import Arrow, arrow_times, solve_arrow
-from jaxscan.leastsq.problem import AbstractProblem, Linear, Unknowns
+from jaxscan.leastsq.arrow import AbstractProblem, Arrow, Linear, Unknowns, arrow_times, solve_arrow
 
 
 # Relative rounding error of a sum of some ten thousand squares.
@@ -92,7 +91,7 @@ class ArrowLM(optx.AbstractLeastSquaresSolver):
     norm: Any
     search: Any
     damping: Float[Array, ""]
-    """Of the first step, relative to the diagonal of J'J."""
+    """Damping of the first step, relative to the diagonal of J'J."""
 
     def init(
         self, fn: Any, y: Any, args: Any, options: Any, f_struct: Any, aux_struct: Any, tags: frozenset[object]

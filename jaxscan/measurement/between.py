@@ -6,11 +6,11 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
-from jaxscan.measurement.checked import checked_samples, is_known, require_known
 from jaxscan.measurement.planes import (
     Plane,
     Point,
     facing,
+    feet_on,
     fitted_plane,
     patch_around,
     place_words,
@@ -18,7 +18,16 @@ from jaxscan.measurement.planes import (
     require_plane,
     weighted_plane,
 )
-from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, CloudSamples, Samples, places_of
+from jaxscan.measurement.samples import (
+    SIGMA_FLOOR_M,
+    Cloud,
+    CloudSamples,
+    Samples,
+    checked_samples,
+    is_known,
+    places_of,
+    require_known,
+)
 from jaxscan.measurement.systematic import systematic_sigma
 
 
@@ -215,7 +224,7 @@ class AngleMeasurement:
 
 
 _LEAST_SINE = 0.02
-"""Of the angle between two normals that determine the edge in which their planes meet."""
+"""Least sine of the angle between two normals whose planes meet in an edge."""
 _SIGMAS, _ROUNDS = 3.0, 20
 """Points farther from the plane than so many robust standard deviations belong to something else, as a picture or a
 switch on the wall; rounds of leaving them out."""
@@ -311,13 +320,10 @@ def _sigmas(cloud: Cloud, patches: list[Samples], along: np.ndarray, scanner: Sc
 def _between_planes(first: Plane | None, second: Plane | None) -> tuple[float | None, float | None]:
     if first is None or second is None:
         return None, None
-    second = facing(second, first.normal)
-    if first.normal @ second.normal < np.cos(np.radians(PARALLEL_DEG)):
+    if abs(first.normal @ second.normal) < np.cos(np.radians(PARALLEL_DEG)):
         return None, None
-    normal = first.normal + second.normal
-    normal = normal / np.linalg.norm(normal)
     middle = 0.5 * (first.centre + second.centre)
-    feet = [(plane.distance - plane.normal @ middle) / (plane.normal @ normal) for plane in (first, second)]
+    normal, feet = feet_on((first, second), middle)
     # Each plane is evaluated at its own end of the line between the planes, near its own patch.
     sigma = [plane.sigma_at(middle + foot * normal) for plane, foot in zip((first, second), feet, strict=True)]
     apart, both = float(abs(feet[1] - feet[0])), float(np.hypot(sigma[0], sigma[1]))

@@ -5,9 +5,8 @@ from dataclasses import dataclass
 import numpy as np
 
 from jaxscan.errors import MeasurementError
-from jaxscan.measurement.checked import checked_samples
 from jaxscan.measurement.planes import Plane, Point, facing, patch_around, place_words
-from jaxscan.measurement.samples import Cloud, Samples, spread_out
+from jaxscan.measurement.samples import Cloud, Samples, checked_samples, spread_out
 from jaxscan.measurement.walls import refine_wall
 
 

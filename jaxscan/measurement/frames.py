@@ -43,7 +43,7 @@ class TargetFrame:
     """Ratio of distances between targets, site to scanner [1]; the frame does not use it."""
     centre_m: np.ndarray
     covariance: np.ndarray
-    """Of a step (translation of the middle [m], rotation about it [rad]), site frame [6, 6]."""
+    """Covariance of a step (translation of the middle [m], rotation about it [rad]), site frame [6, 6]."""
 
     def sigma_at(self, place: Float[np.ndarray, "3"]) -> float:
         """Standard deviation by which the frame places a point [m], all directions together; no noise of the point."""
@@ -80,7 +80,7 @@ def align_targets(
     Args:
         scanner: Targets in the frame of the cloud [m], three or more that are not on one line.
         site: The same targets in the frame that is wanted [m].
-        names: Of the targets; by default their numbers from 1.
+        names: Names of the targets; by default their numbers from 1.
 
     Returns:
         The frame, the residuals, and their standard deviations.
@@ -144,7 +144,9 @@ def _fitted(scanner: np.ndarray, site: np.ndarray) -> TargetFrame:
     a, b = scanner, site
     count = len(a)
     if count < FEWEST_TARGETS:
-        raise MeasurementError(f"{count} targets, expected {FEWEST_TARGETS} or more: fewer do not tell a rotation.")
+        raise MeasurementError(
+            f"{count} targets, expected {FEWEST_TARGETS} or more: fewer do not determine a rotation."
+        )
     middle_a, middle_b = a.mean(0), b.mean(0)
     a, b = a - middle_a, b - middle_b
     for name, points in (("the scanner's", a), ("the site's", b)):
@@ -208,7 +210,7 @@ def align_room(cloud: Cloud, *, seed: int = 0) -> RoomFrame:
     (floor,) = floors
     up = -floor.plane.normal
     long = int(np.argmax([_longest(across[k], across[1 - k], up) for k in (0, 1)]))
-    # Of corners that were seen one from which the room is at positive y, then one at the longest wall.
+    # A corner from which the room is at positive y is preferred, then one at the longest wall.
     corners = [(wall, other) for wall in across[long] for other in across[1 - long]]
     ahead = [-wall.plane.normal @ _axes(wall, other, up)[1] > 0 for wall, other in corners]
     best = max(range(len(corners)), key=lambda k: (ahead[k], _length(corners[k][0], up)))

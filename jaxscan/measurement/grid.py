@@ -32,7 +32,7 @@ def quads_of(cloud: Cloud) -> Quads:
     profiles, lines = valid.shape
     if profiles < 2 or lines < 2:
         raise MeasurementError(
-            f"The cloud has {profiles} profiles of {lines} lines, so nobody knows which points are neighbours; a cloud "
+            f"The cloud has {profiles} profiles of {lines} lines, so neighbouring points are unknown; a cloud "
             "of jaxscan reconstruct is needed, as .ply or .npz."
         )
     laser, angle, number = np.asarray(cloud.laser), np.asarray(cloud.angle, np.float64), places_of(cloud).number
@@ -87,7 +87,7 @@ def rasterise(quads: Quads, places: np.ndarray, shape: tuple[int, int], depth: n
         quads: The quads.
         places: Column and row of every cell, flat [cells, 2], px: (0, 0) is the middle of the first pixel.
         shape: Rows and columns.
-        depth: Of two quads at one pixel that with the smaller depth [cells] is shown; by default any.
+        depth: Depth of every cell [cells]: where two quads meet one pixel, the nearer one is shown; by default any.
     """
     corners = places[quads.corners]
     low, high = corners.min(1), corners.max(1)
@@ -108,7 +108,7 @@ def rasterise(quads: Quads, places: np.ndarray, shape: tuple[int, int], depth: n
             near = np.zeros(len(pixel)) if depth is None else (depth[quads.corners[part]] @ mix)[which, sample]
             wins = np.flatnonzero(near < best[pixel])
             if depth is not None:
-                # Of several values for one pixel NumPy keeps the last: the nearest.
+                # NumPy keeps the last of several values for one pixel: the nearest.
                 wins = wins[np.argsort(-near[wins], kind="stable")]
             target = pixel[wins]
             best[target], quad[target] = near[wins], part[which[wins]]

@@ -8,12 +8,10 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
-from jaxscan.measurement.checked import is_known
-from jaxscan.measurement.planes import Plane
-from jaxscan.measurement.ransac import find_planes
-from jaxscan.measurement.samples import Cloud, CloudSamples, Samples, about_the_scanner, places_of
+from jaxscan.measurement.planes import Plane, feet_on
+from jaxscan.measurement.samples import Cloud, CloudSamples, Samples, about_the_scanner, is_known, places_of
 from jaxscan.measurement.systematic import systematic_sigma
-from jaxscan.measurement.walls import BEYOND, Wall, outermost, refine_wall, wall_weights
+from jaxscan.measurement.walls import BEYOND, Wall, find_planes, outermost, refine_wall, wall_weights
 
 
 LEVEL = np.cos(np.radians(15.0))
@@ -200,29 +198,17 @@ def _pair(
 
 def _centre(pairs: list[list[Wall]]) -> np.ndarray:
     """The point midway between the walls of every pair, nearest the origin."""
-    normals = np.array([_mean_normal(pair) for pair in pairs])
-    middles = np.zeros(len(pairs))
     centre = np.zeros(3)
     for _ in range(5):
         # The middle of one pair depends a little on the position along its walls.
-        for i, pair in enumerate(pairs):
-            ahead, behind = _distances(pair, normals[i], centre)
-            middles[i] = normals[i] @ centre + 0.5 * (ahead - behind)
-        centre = np.linalg.lstsq(normals, middles, rcond=None)[0]
+        feet = [_feet(pair, centre) for pair in pairs]
+        middles = [normal @ centre + np.mean(along) for normal, along in feet]
+        centre = np.linalg.lstsq(np.array([normal for normal, _ in feet]), np.array(middles), rcond=None)[0]
     return centre
 
 
-def _mean_normal(pair: list[Wall]) -> np.ndarray:
-    difference = pair[0].plane.normal - pair[1].plane.normal
-    return difference / np.linalg.norm(difference)
-
-
-def _distances(pair: list[Wall], normal: np.ndarray, at: np.ndarray) -> tuple[float, float]:
-    """From `at` along `normal` to the first wall, against it to the second [m]."""
-    first, second = pair[0].plane, pair[1].plane
-    ahead = (first.distance - first.normal @ at) / (first.normal @ normal)
-    behind = (second.distance - second.normal @ at) / -(second.normal @ normal)
-    return float(ahead), float(behind)
+def _feet(pair: list[Wall], at: np.ndarray) -> tuple[np.ndarray, list[float]]:
+    return feet_on([wall.plane for wall in pair], at)
 
 
 def _dimension(
@@ -231,8 +217,7 @@ def _dimension(
     systematic_of: Callable[[Samples, np.ndarray], float],
     rng: np.random.Generator,
 ) -> Dimension:
-    normal = _mean_normal(pair)
-    ahead, behind = _distances(pair, normal, centre)
+    normal, (ahead, behind) = _feet(pair, centre)
     random = np.hypot(pair[0].plane.sigma_at(centre), pair[1].plane.sigma_at(centre))
     parts = [wall_weights(wall, wall.plane.height_weights(centre), rng) for wall in pair]
     weights = np.concatenate([weight for _, weight in parts])
@@ -240,7 +225,7 @@ def _dimension(
     counts = [len(wall.samples.p) for wall in pair]
     cosine = -pair[0].plane.normal @ pair[1].plane.normal
     return Dimension(
-        value_m=ahead + behind,
+        value_m=ahead - behind,
         sigma_m=float(np.hypot(random, systematic)),
         sigma_random_m=float(random),
         sigma_systematic_m=systematic,

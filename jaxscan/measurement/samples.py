@@ -1,4 +1,4 @@
-"""The points of a cloud as a list, with noise, laser, angle and profile."""
+"""The points of a cloud as a list, with noise, laser, angle and profile; which clouds are fit for measuring."""
 
 import itertools
 from collections.abc import Callable, Iterator, Sequence
@@ -40,7 +40,7 @@ class Places(NamedTuple):
     number: np.ndarray
     pose: np.ndarray
     covariance: np.ndarray
-    """Of a step (translation [m], rotation [rad]) in the station's own frame [stations, 6, 6]."""
+    """Covariance of a step (translation [m], rotation [rad]) in the station's own frame [stations, 6, 6]."""
 
 
 class Samples(NamedTuple):
@@ -172,7 +172,7 @@ class CloudSamples:
         return self._of(np.flatnonzero(self._valid))
 
     def chosen(self, choose: Callable[[Samples], np.ndarray]) -> np.ndarray:
-        """Numbers of the points for which a rule says True [n], in order."""
+        """Numbers of the points for which a rule is True [n], in order."""
         parts, start = [], 0
         for block in self.blocks():
             parts.append(start + np.flatnonzero(choose(block)))
@@ -299,3 +299,60 @@ def spread_out(count: int, wanted: int, rng: np.random.Generator) -> np.ndarray:
     if count <= wanted:
         return np.arange(count)
     return np.sort(rng.choice(count, wanted, replace=False, shuffle=False))
+
+
+FARTHEST_M = 1e8
+"""Largest coordinate of a point [m]: more than twice around the Earth."""
+
+
+LEAST_KNOWN = 0.2
+"""Largest relative standard deviation of a dimension [1]; above it the dimension counts as not measured."""
+
+
+def is_known(value: float, sigma: float) -> bool:
+    """Whether a length, an area or a volume is known well enough to be stated."""
+    # NaN fails too.
+    return sigma <= LEAST_KNOWN * value
+
+
+def require_known(what: str, value_m: float, sigma_m: float) -> None:
+    """Refuse to state a length that is not known.
+
+    Raises:
+        MeasurementError: If its standard deviation is too large a share of it.
+    """
+    if not is_known(value_m, sigma_m):
+        raise MeasurementError(
+            f"The {what} is not known: {1e3 * value_m:.3g} mm with a standard deviation of {1e3 * sigma_m:.3g} mm, "
+            f"expected at most {100 * LEAST_KNOWN:.0f} % of it; average more points, or measure something longer."
+        )
+
+
+def checked_samples(cloud: Cloud) -> CloudSamples:
+    """All valid points.
+
+    Raises:
+        MeasurementError: If there are none, or if a coordinate or sigma is no number that a point can have.
+    """
+    samples = CloudSamples(cloud)
+    finite, known = True, False
+    valid = np.asarray(cloud.valid)
+    # Profile by profile, or a part of a long one: only that is copied.
+    for xyz, sigma, seen in _parts(np.asarray(cloud.xyz), np.asarray(cloud.sigma_random), valid):
+        # NaN fails too.
+        if not (np.abs(xyz[seen]) <= FARTHEST_M).all():
+            raise MeasurementError(f"The cloud has coordinates that are not numbers within {FARTHEST_M:g} m of 0.")
+        finite &= bool(np.isfinite(sigma[seen]).all())
+        known |= bool((sigma[seen] > 0).any())
+    if not (finite and known):
+        raise MeasurementError(
+            "The cloud has no sigmas, so the uncertainty of a measured number is unknown; a cloud of jaxscan "
+            "reconstruct is needed, as .ply or .npz."
+        )
+    return samples
+
+
+def _parts(*fields: np.ndarray) -> Iterator[tuple[np.ndarray, ...]]:
+    flat = [field.reshape(-1, *field.shape[2:]) for field in fields]
+    for start in range(0, len(flat[0]), AT_ONCE):
+        yield tuple(field[start : start + AT_ONCE] for field in flat)

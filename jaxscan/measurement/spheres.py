@@ -7,9 +7,17 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner, median_sigma
-from jaxscan.measurement.checked import checked_samples, require_known
 from jaxscan.measurement.planes import Point, place_words
-from jaxscan.measurement.samples import SIGMA_FLOOR_M, Cloud, CloudSamples, Samples, places_of, spread_out
+from jaxscan.measurement.samples import (
+    SIGMA_FLOOR_M,
+    Cloud,
+    CloudSamples,
+    Samples,
+    checked_samples,
+    places_of,
+    require_known,
+    spread_out,
+)
 from jaxscan.measurement.systematic import systematic_sigma
 
 
@@ -30,7 +38,7 @@ class SphereFit(NamedTuple):
     centre: np.ndarray
     radius: float
     covariance: np.ndarray
-    """Of centre, and of the radius where it is free, by the noise of the stripes [3 or 4, 3 or 4], m^2."""
+    """Covariance of centre, and of a free radius, by the noise of the stripes [3 or 4, 3 or 4], m^2."""
     members: Samples
     normal: np.ndarray
     residual: np.ndarray

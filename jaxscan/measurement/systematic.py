@@ -19,7 +19,7 @@ FARTHEST_OFF, LEAST_SEEN = 0.05, 0.9
 """Distance from its place on the laser's sheet, in units of its range, up to which a point is one of the calibration;
 and the smallest share of such points. Calibrations of one rig differ by a hundredth of that."""
 STEP = 1e-3
-"""Of central differences, in units of the parameters."""
+"""Step of central differences, in units of the parameters."""
 
 
 class Effects(NamedTuple):
@@ -31,11 +31,11 @@ class Effects(NamedTuple):
     """By a step (translation [m], rotation [rad]) of each station in its own frame [numbers, stations, 6]."""
 
     def weighted(self, row: np.ndarray) -> "Effects":
-        """Of the sum of the numbers with these weights [numbers]."""
+        """Effects in the sum of the numbers with these weights [numbers]."""
         return Effects((row @ self.scanner)[None], np.tensordot(row, self.stations, 1)[None])
 
     def plus(self, other: "Effects") -> "Effects":
-        """Of the sums of numbers."""
+        """Effects in the sums of numbers."""
         return Effects(self.scanner + other.scanner, self.stations + other.stations)
 
     def sigma(self, scanner: Scanner | None, places: Places) -> float:

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     Format = str
 else:
     Format = Literal[tuple(suffix.removeprefix(".") for suffix in FORMATS)]
-Merged = Literal["e57", "tiles", "plan"]
+Merged = Literal["e57", "plan"]
 MOST_PARTS = 10_000
 """Rigs, patterns and groups of a project."""
 _Products = Annotated[tuple[Product, ...], pydantic.Field(min_length=1, max_length=6)]
@@ -68,8 +68,6 @@ class ProjectTable(FileModel):
     products: _Products = ("cloud", "measures")
     formats: _Formats = ("ply",)
     """Formats of clouds."""
-    split_records: Annotated[Integer, pydantic.Field(ge=32, le=1_000_000)] = 1000
-    """The stripes of larger captures are found in pieces of so many records."""
 
 
 class RigTable(FileModel):
@@ -113,12 +111,10 @@ class GroupTable(FileModel):
 
     name: Name
     captures: Annotated[tuple[Name, ...], pydantic.Field(min_length=2, max_length=200)]
-    merged: Annotated[tuple[Merged, ...], pydantic.Field(min_length=1, max_length=3)] = ("e57",)
+    merged: Annotated[tuple[Merged, ...], pydantic.Field(min_length=1, max_length=2)] = ("e57",)
     known: _Place | None = None
     """Known lengths of the room, and places of the stations where sweeps do not tell them, as of
     `jaxscan recalibrate --known`."""
-    tile_m: Annotated[float, pydantic.Field(ge=0.5, le=1000)] = 5.0
-    """Side of a tile [m]."""
 
     @pydantic.model_validator(mode="after")
     def _each_once(self) -> "GroupTable":

@@ -14,14 +14,13 @@ from datetime import date, datetime
 from pathlib import Path, PurePosixPath
 from typing import cast
 
-from jaxscan.errors import CaptureError, ConfigError, JaxscanError
-from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, CaptureHeader, parse_header
+from jaxscan.errors import ConfigError, JaxscanError
+from jaxscan.files.capture import HEADER_NAME, CaptureHeader, parse_header
 from jaxscan.files.disk import (
     MEGABYTE,
     FolderLock,
     is_outside,
     make_folder,
-    open_regular,
     parse_json,
     read_bounded,
     reported,
@@ -92,15 +91,6 @@ def header_of(address: str) -> CaptureHeader:
     """
     name = f"{address}/{HEADER_NAME}"
     return parse_header(read_bounded(name, MEGABYTE, error=ConfigError), name=name)
-
-
-def is_longer(folder: Path, records: int) -> bool:
-    """Whether a journal has more lines; counting them takes less time than reading them."""
-    lines = 0
-    with open_regular(folder / JOURNAL_NAME, error=CaptureError) as file:
-        while lines <= records and (block := file.read(MEGABYTE)):
-            lines += block.count(b"\n")
-    return lines > records
 
 
 def _and(words: Sequence[str], last: str = "and") -> str:

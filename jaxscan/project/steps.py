@@ -11,13 +11,12 @@ from importlib import resources
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
-from jaxscan.api.sweeps import ranges_of
 from jaxscan.errors import CaptureError, ConfigError
-from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME, open_capture
+from jaxscan.files.capture import HEADER_NAME, JOURNAL_NAME
 from jaxscan.files.disk import MEGABYTE, file_digest, read_bounded
 from jaxscan.project.catalogue import Catalogue, Row, open_catalogue
 from jaxscan.project.config import GroupTable, RigTable
-from jaxscan.project.project import Project, ProjectCapture, check_owner, is_longer
+from jaxscan.project.project import Project, ProjectCapture, check_owner
 
 
 _CAPTURE = ("geometry", "stripes", "vision", "files/capture", "files/calibration", "api")
@@ -30,7 +29,6 @@ _PLAN = (*_MEASURES, "reconstruction", "drawing", "files/drawings")
 _REGISTER = (*_CALIBRATION, "reconstruction", "recalibration", "measurement", "files/known_room")
 CODE_OF: Mapping[str, tuple[str, ...]] = {
     "calibration": _CALIBRATION,
-    "stripes": _SWEEP,
     "cloud": _CLOUD,
     "measures": _MEASURES,
     "mesh": (*_MEASURES, "reconstruction", "surface", "files/meshes"),
@@ -41,7 +39,6 @@ CODE_OF: Mapping[str, tuple[str, ...]] = {
     "register": _REGISTER,
     "station": _CLOUD,
     "merged e57": _OF_MERGED,
-    "merged tiles": _OF_MERGED,
     "merged plan": _PLAN,
 }
 """Rooms, folders or files, whose code decides a product, beside the one that makes them all: a change elsewhere, of the
@@ -236,7 +233,7 @@ _OF_CAPTURE: Mapping[str, Callable[[Project, ProjectCapture], Mapping[str, Any]]
     "plan": lambda project, capture: {"project": project.wanted.project.name},
 }
 """Settings of products that read the capture too, a plan for its date."""
-_MERGED = {"e57": "groups/{}.e57", "tiles": "groups/{}.tiles.json", "plan": "groups/{}.dxf"}
+_MERGED = {"e57": "groups/{}.e57", "plan": "groups/{}.dxf"}
 
 
 def steps_of(project: Project) -> tuple[Step, ...]:
@@ -388,11 +385,7 @@ def _of_capture(project: Project, capture: ProjectCapture, reads: _Reads) -> Ite
     formats = dict.fromkeys(("ply", *capture.formats))
     clouds = tuple(f"clouds/{name}.{suffix}" for suffix in formats)
     settings = capture.settings.model_dump()
-    parts = tuple(_parts(capture, project.wanted.project.split_records, reads))
-    yield from parts
-    found = {f"stripes {number}": part.outputs[0] for number, part in enumerate(parts)}
-    inputs = (*reads.inputs, *(part.key for part in parts))
-    yield Step(key, "cloud", inputs, source | reads.sources, reads.products | found, clouds, settings)
+    yield Step(key, "cloud", reads.inputs, source | reads.sources, reads.products, clouds, settings)
     for kind, files in _FILES.items():
         if kind in capture.products:
             yield Step(
@@ -404,25 +397,6 @@ def _of_capture(project: Project, capture: ProjectCapture, reads: _Reads) -> Ite
                 tuple(file.format(name) for file in files),
                 _OF_CAPTURE[kind](project, capture) if kind in _OF_CAPTURE else {},
             )
-
-
-def _parts(capture: ProjectCapture, records: int, reads: _Reads) -> Iterator[Step]:
-    """Pieces of a large capture, whose stripes are found apart; none of a small one."""
-    name, settings = capture.name, capture.settings.model_dump(exclude={"colour"})
-    try:
-        if not is_longer(Path(capture.address), records):
-            return
-        sweep = open_capture(capture.address, compare=False).every(capture.settings.every)
-        ranges = ranges_of(sweep, records)
-    except CaptureError:
-        # The step that makes its cloud reports this; other captures go on.
-        return
-    if len(ranges) < 2 or not all(record.off for record in sweep.records):
-        return
-    for first, stop in ranges:
-        file, own = f"stripes/{name}.{first}-{stop}.npz", settings | {"first": first, "stop": stop}
-        source = {"capture": capture.address, **reads.sources}
-        yield Step(f"stripes/{name}/{first}-{stop}", "stripes", reads.inputs, source, reads.products, (file,), own)
 
 
 def _of_group(project: Project, group: GroupTable, reads: _Reads) -> Iterator[Step]:
@@ -446,8 +420,7 @@ def _of_group(project: Project, group: GroupTable, reads: _Reads) -> Iterator[St
     for kind in group.merged:
         output = _MERGED[kind].format(group.name)
         products = {**clouds, "calibration": files[0]}
-        more: dict[str, Any] = {"tile_m": group.tile_m} if kind == "tiles" else {}
-        dated = {}
+        more, dated = dict[str, Any](), dict[str, str]()
         if kind == "plan":
             more, dated = {"project": project.wanted.project.name}, {"capture": captures[group.captures[0]].address}
         yield Step(f"merged/{kind}/{group.name}", f"merged {kind}", (*keys, register), dated, products, (output,), more)

@@ -4,10 +4,8 @@ import contextlib
 import json
 import os
 import platform
-import shutil
 import time
 import traceback
-from collections import Counter
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from functools import partial
@@ -15,12 +13,10 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from jaxtyping import Shaped
 
 import jaxscan
 from jaxscan import api
 from jaxscan.api.recalibration import turned
-from jaxscan.api.sweeps import cloud_of_ranges, stripes_of_range
 from jaxscan.calibration import Calibration
 from jaxscan.drawing import Sheet, draw_plan, survey_room
 from jaxscan.errors import CalibrationError, CaptureError, CloudError, GivenError, JaxscanError, MeasurementError
@@ -29,17 +25,13 @@ from jaxscan.files.capture import Capture, open_capture
 from jaxscan.files.clouds import save_stations
 from jaxscan.files.disk import (
     MEGABYTE,
-    append_whole,
     file_digest,
     make_folder,
-    open_to_write,
     parse_json,
     partial_folder,
-    read_arrays,
     read_bounded,
     refuse_links,
     reported,
-    write_arrays,
     write_atomically,
 )
 from jaxscan.files.known_room import load_known_room
@@ -64,8 +56,6 @@ class StepWorkspace:
     """Called with (done, in all)."""
     notes: list[str] = field(default_factory=list)
     """Remarks for the user, a sentence each."""
-    owned: list[str] = field(default_factory=list)
-    """Folders among the products that hold only files of this step: older ones are removed from them."""
 
     def capture(self, role: str = "capture") -> Capture:
         """A capture. Its stripes are kept among the products: nothing is written into its own folder."""
@@ -146,25 +136,11 @@ def calibrate_rig(workspace: StepWorkspace) -> None:
     api.save_calibration(result, workspace.target())
 
 
-def find_part(workspace: StepWorkspace) -> None:
-    """The stripes of some records of a large sweep."""
-    settings, records = reconstruct_settings(workspace), (workspace.setting("first"), workspace.setting("stop"))
-    arrays = stripes_of_range(
-        workspace.sweep(), workspace.scanner(), records, settings=settings, progress=workspace.progress
-    )
-    write_atomically(workspace.target(), partial(write_arrays, arrays=arrays), durable=False, error=CaptureError)
-
-
 def reconstruct_sweep(workspace: StepWorkspace) -> None:
     """Reconstruct a sweep, as `jaxscan reconstruct` does, in all formats that are wanted."""
     workspace.notes.extend(calibration_notes(workspace.file("calibration")))
     sweep, scanner, settings = workspace.sweep(), workspace.scanner(), reconstruct_settings(workspace)
-    parts = [workspace.file(role) for role in workspace.step.products if role.startswith("stripes ")]
-    if parts:
-        arrays = [read_arrays(path, error=CaptureError) for path in parts]
-        done = cloud_of_ranges(sweep, scanner, arrays, settings=settings)
-    else:
-        done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=workspace.progress)
+    done = api.reconstruct_capture(sweep, scanner, settings=settings, progress=workspace.progress)
     workspace.notes.extend(done.notes)
     cloud = coloured(workspace, done.cloud, sweep, scanner)
     for number in range(len(workspace.step.outputs)):
@@ -296,28 +272,6 @@ def merge_e57(workspace: StepWorkspace) -> None:
     save_stations(loads, workspace.target(), calibration_digest=workspace.digest())
 
 
-def merge_tiles(workspace: StepWorkspace) -> None:
-    """Square tiles with the points of all stations, and a list of them."""
-    folder = str(Path(workspace.step.outputs[0]).with_suffix(""))
-    digest = workspace.digest()
-    listed: list[dict[str, Any]] = []
-    with Tiles(workspace.folder / "spooled", workspace.setting("tile_m")) as tiles:
-        for cloud in _clouds(workspace):
-            tiles.add(cloud)
-        places = Counter[tuple[int, int]]()
-        for place, cloud in tiles.clouds():
-            places[place] += 1
-            more = "" if places[place] == 1 else f"_{places[place]}"
-            name = f"{folder}/{place[0]}_{place[1]}{more}.ply"
-            api.save_cloud(cloud, workspace.beside(name), calibration_digest=digest)
-            corner = [float(axis * workspace.setting("tile_m")) for axis in place]
-            points = int(np.asarray(cloud.valid).sum())
-            listed.append({"file": f"{Path(folder).name}/{Path(name).name}", "corner_m": corner, "points": points})
-    workspace.owned.append(folder)
-    about = {"format": TILES_FORMAT, "tile_m": workspace.setting("tile_m"), "tiles": listed}
-    write_atomically(workspace.target(), (json.dumps(about, indent=2) + "\n").encode())
-
-
 def merge_plan(workspace: StepWorkspace) -> None:
     """One plan from the points of all stations."""
     points = sum(int(np.asarray(cloud.valid).sum()) for cloud in _clouds(workspace))
@@ -331,7 +285,6 @@ def merge_plan(workspace: StepWorkspace) -> None:
 WORK: Mapping[str, Callable[[StepWorkspace], None]] = {
     "calibration": calibrate_rig,
     "recalibration": refine_rig,
-    "stripes": find_part,
     "cloud": reconstruct_sweep,
     "measures": measure,
     "mesh": make_mesh,
@@ -341,7 +294,6 @@ WORK: Mapping[str, Callable[[StepWorkspace], None]] = {
     "register": register_stations,
     "station": place_station,
     "merged e57": merge_e57,
-    "merged tiles": merge_tiles,
     "merged plan": merge_plan,
 }
 """The function for each kind of step."""
@@ -417,17 +369,10 @@ def _done(step: Step, output: Path, progress: Progress) -> tuple[tuple[Output, .
 
 def publish(workspace: StepWorkspace) -> None:
     """Give all that was written its place among the products; each file is there whole or not at all."""
-    made = workspace.made()
-    for path in made:
+    for path in workspace.made():
         target = workspace.output / path
         _make(workspace.output, target.parent)
         workspace.beside(path).replace(target)
-    for folder in workspace.owned:
-        with reported(f"{workspace.output / folder}: cannot be written", error=CaptureError):
-            refuse_links(workspace.output, workspace.output / folder)
-        for old in (workspace.output / folder).iterdir():
-            if str(old.relative_to(workspace.output)) not in made and not old.is_dir():
-                old.unlink()
 
 
 def _make(own: Path, folder: Path) -> None:
@@ -460,74 +405,7 @@ def _lengths(box: RoomBox) -> dict[str, Any]:
     return {name: {field: getattr(side, field) for field in fields} for name, side in sides.items()}
 
 
-MOST_POINTS = 10_000_000
-"""Points that are in memory at a time, and in one file."""
-_ROW = np.dtype(
-    [
-        ("xyz", np.float64, 3),
-        ("normals", np.float32, 3),
-        ("rgb", np.uint8, 3),
-        ("intensity", np.float32),
-        ("sigma_random", np.float32),
-        ("sigma_systematic", np.float32),
-    ]
-)
-
-
-class Tiles:
-    """Points, grouped by the square of the floor plan that they lie in."""
-
-    def __init__(self, folder: Path, side_m: float) -> None:
-        """Spool into a folder, which is made now and removed at the end of `with`."""
-        self._folder, self._side_m = folder, side_m
-        self._files: dict[tuple[int, int], Path] = {}
-
-    def __enter__(self) -> "Tiles":
-        make_folder(self._folder, new=True)
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        shutil.rmtree(self._folder, ignore_errors=True)
-
-    def add(self, cloud: PointCloud) -> None:
-        """Add the points of a cloud in the frame of the room [m]."""
-        points = cloud.points()
-        rows = np.empty(len(points.xyz), _ROW)
-        for name in _ROW.fields or ():
-            rows[name] = getattr(points, name)
-        squares = np.floor(rows["xyz"][:, :2] / self._side_m).astype(int)
-        places, of_place = np.unique(squares, axis=0, return_inverse=True)
-        order = np.argsort(of_place.ravel(), kind="stable")
-        ends = np.cumsum(np.bincount(of_place.ravel(), minlength=len(places)))
-        for place, some in zip(places.tolist(), np.split(rows[order], ends[:-1]), strict=True):
-            path = self._files.setdefault((place[0], place[1]), self._folder / f"{place[0]}_{place[1]}")
-            with open_to_write(path, "append") as file:
-                append_whole(file, some.tobytes(), durable=False)
-
-    def clouds(self) -> Iterator[tuple[tuple[int, int], PointCloud]]:
-        """Each tile, by its place in steps of its side, as a cloud without a grid: one profile of all its points.
-
-        One of more than `MOST_POINTS` comes in several clouds.
-        """
-        for place, path in sorted(self._files.items()):
-            read = 0
-            while len(rows := np.fromfile(path, _ROW, MOST_POINTS, offset=read)):
-                read += rows.nbytes
-                yield place, _cloud(rows)
-            path.unlink()
-
-
-def _cloud(rows: Shaped[np.ndarray, " n"]) -> PointCloud:
-    zero = np.zeros(1, np.int32)
-    fields = {name: np.ascontiguousarray(rows[name])[None] for name in _ROW.fields or () if name != "xyz"}
-    xyz = rows["xyz"].astype(np.float32)[None]
-    valid = np.ones((1, len(rows)), np.bool_)
-    angle = np.zeros(1)
-    return PointCloud(xyz=xyz, valid=valid, **fields, record=zero, laser=zero, angle=angle, stations=None, absent=None)
-
-
 STATIONS_FORMAT = "jaxscan-stations/1"
-TILES_FORMAT = "jaxscan-tiles/1"
 PLAN_POINTS = 20_000_000
 """Points that the plan of a group is drawn from; of more, only every n-th profile."""
 VAGUE_M = 0.02

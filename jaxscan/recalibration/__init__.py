@@ -32,7 +32,7 @@ if TYPE_CHECKING:
         Start,
         TableFindings,
     )
-    from jaxscan.recalibration.table import points_of_records
     from jaxscan.recalibration.tracks import FeatureEyes, observe_features
+    from jaxscan.recalibration.triangulate import points_of_records
 else:
     load_on_use(__name__)

@@ -7,7 +7,7 @@ from jaxtyping import Float
 
 from jaxscan.errors import GivenError
 from jaxscan.geometry import Scanner, root_of
-from jaxscan.measurement.planes import facing, weighted_plane
+from jaxscan.measurement.planes import Plane, feet_on, weighted_plane
 from jaxscan.recalibration.observed import (
     KnownLength,
     MeasuredLength,
@@ -108,16 +108,8 @@ def _between_centres(length: MeasuredLength, surfaces: Surfaces, ends: tuple[int
     It was measured midway between the user's points. The walls as they were found tell the difference, which is small
     where they are nearly parallel; to a nanometre.
     """
-    a, b = surfaces.normal[ends[0]], surfaces.normal[ends[1]]
-    sign = -1.0 if a @ b < 0 else 1.0
-    mean = (a + sign * b) / np.linalg.norm(a + sign * b)
-
-    def apart(middle: np.ndarray) -> float:
-        first, second = (
-            (surfaces.distance[end] - surfaces.normal[end] @ middle) / (surfaces.normal[end] @ mean) for end in ends
-        )
-        return abs(float(first - second))
-
+    planes = [Plane(*(field[end] for field in surfaces), np.zeros((2, 3)), np.zeros((3, 3))) for end in ends]
+    apart = lambda middle: float(np.abs(np.diff(feet_on(planes, middle)[1])[0]))
     measured = (np.asarray(length.first, np.float64) + np.asarray(length.second, np.float64)) / 2
     centres = (surfaces.centre[ends[0]] + surfaces.centre[ends[1]]) / 2
     return round(float(length.metres) + apart(centres) - apart(measured), 9)
@@ -244,15 +236,12 @@ def _length(
 
 def _between_planes(first: Float[np.ndarray, "n 3"], second: Float[np.ndarray, "m 3"]) -> tuple[float, float]:
     """Along the mean normal, midway between the centres, as the adjustment has it."""
-    one, other = (weighted_plane(cloud, np.ones(len(cloud))) for cloud in (first, second))
-    other = facing(other, one.normal)
-    mean, middle = one.normal + other.normal, (one.centre + other.centre) / 2
-    mean = mean / np.linalg.norm(mean)
-    along = [plane.normal @ (plane.centre - middle) / (plane.normal @ mean) for plane in (one, other)]
+    planes = [weighted_plane(cloud, np.ones(len(cloud))) for cloud in (first, second)]
+    _, feet = feet_on(planes, (planes[0].centre + planes[1].centre) / 2)
     # Roughness and bend of walls limit how well their mean planes are known.
-    both = zip((first, second), (one, other), strict=True)
+    both = zip((first, second), planes, strict=True)
     flat = [np.mean(((cloud - plane.centre) @ plane.normal) ** 2) for cloud, plane in both]
-    return float(abs(along[0] - along[1])), float(np.sqrt(sum(flat)))
+    return abs(feet[0] - feet[1]), float(np.sqrt(sum(flat)))
 
 
 def _between_targets(

@@ -13,12 +13,12 @@ from jaxscan.geometry import Scanner
 from jaxscan.recalibration import judge
 from jaxscan.recalibration.adjust import adjust
 from jaxscan.recalibration.lengths import check_adjusted, check_lengths, found_lengths, lost_lengths, place_lengths
+from jaxscan.recalibration.lost_steps import check_angles
 from jaxscan.recalibration.observed import Given, RecalibrationSettings, RoomObservations, SweepStripes
 from jaxscan.recalibration.renew import require_prior
 from jaxscan.recalibration.result import Adjusted, PanoramaOfWalls, Recalibration, Start, TableFindings
 from jaxscan.recalibration.segment import label_planes, observe_surfaces
 from jaxscan.recalibration.stations import place_stations
-from jaxscan.recalibration.table import check_angles
 from jaxscan.recalibration.tracks import place_tracks
 
 
@@ -91,10 +91,10 @@ def recalibrate(
     are found again, and the result is judged: drift, gain, planes that were held out.
 
     Args:
-        sweeps: Stripes of each sweep; their `station` tells from where each was taken.
+        sweeps: Stripes of each sweep; `station` is the place that it was taken from.
         stored: Its covariance is the prior; nothing in it is changed.
-        settings: Of the recalibration.
-        given: Beside the sweeps: tracks, known lengths, boards, places of stations.
+        settings: How the sweeps are used.
+        given: What is known beside the sweeps: tracks, lengths, boards, places of stations.
         progress: Called with (stages done, stages in all).
 
     Returns:
@@ -114,7 +114,7 @@ def recalibrate(
     doubts = check_lengths(observed, job.turned(), job.stored, loose)
     if doubts:
         _check_without(job, observed, start, doubts[0])
-    # Of this first solve only the scanner and the stations are used.
+    # Only the scanner and the stations of this first solve are used.
     rough = adjust(loose, job.start(job.stored), observed, job.settings)
     done()
     start = job.start(rough.scanner, rough.stations)
@@ -148,7 +148,7 @@ def register(
     Arguments are those of `recalibrate`.
 
     Raises:
-        CalibrationError: If nothing can be adjusted, as of `recalibrate`, or no wall is flat.
+        CalibrationError: If nothing can be adjusted (as in `recalibrate`), or no wall is flat.
     """
     done = _counter(progress, _REGISTERED)
     job = _begin(sweeps, stored, settings, given, done)
@@ -220,7 +220,7 @@ def _check_without(job: _Job, observed: RoomObservations, start: Start, doubt: s
 
 
 def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Recalibration:
-    """Everything that is said of a solve."""
+    """The result of a solve, with its verdicts."""
     stored, adjusted = job.stored, verdict.adjusted
     names = stored.parameter_names()
     prior = judge.with_covariance(stored, np.asarray(stored.covariance) + verdict.loosened)
@@ -241,7 +241,7 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
         # The gain is reported against the stored covariance, even where a part of that prior was given up.
         adjusted=replace(adjusted, prior=stored),
         drift=verdict.drift,
-        gains=judge.gains_of(gained, judge.scales_of(gained, slopes), names),
+        gains=judge.drifts_of(gained, judge.scales_of(gained, slopes), names),
         unobserved=judge.unobserved(solved, judge.scales_of(solved, slopes), names),
         moved=judge.moved_parameters(stored, adjusted.departure, solved, verdict.loosened),
         hold_out=held_out,

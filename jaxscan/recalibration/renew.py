@@ -1,4 +1,4 @@
-"""Stored calibrations: what is asked of one, and the new one that a recalibration makes of it."""
+"""Stored calibrations: what a recalibration requires of one, and the new one that it makes."""
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
@@ -38,7 +38,7 @@ def require_prior(stored: Calibration, name: str = "the calibration") -> Scanner
             scanner.turntable.carries, "a scanner that stands still"
         )
         raise CalibrationError(
-            f"{name}: is that of {moves}; only sweeps of a turntable tell more of their rig: calibrate with boards."
+            f"{name}: is that of {moves}; only sweeps of a turntable refine their rig: calibrate with boards."
         )
     if scanner.turntable.carries != "scanner":
         raise CalibrationError(

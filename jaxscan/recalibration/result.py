@@ -33,7 +33,7 @@ class Adjusted:
     stations: Float[np.ndarray, "stations 4 4"]
     """T_room_scanner of every station; the identity for the first."""
     station_covariance: Float[np.ndarray, "stations 6 6"]
-    """Of a step (translation [m], rotation [rad]) in the station's own frame; zero for the first."""
+    """Covariance of a step (translation [m], rotation [rad]) in the station's own frame; zero for the first."""
     surfaces: Surfaces
     corrections: tuple[Float[np.ndarray, " records"], ...]
     """Added to the angles of each sweep's journal before the table's own model [rad]: the known faults of the start,

@@ -1,12 +1,12 @@
 """Many points of one scanner at once; NumPy on the host."""
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
-from jaxscan.geometry import Scanner, lit_points, poses, transform
-from jaxscan.recalibration.observed import RoomObservations, SurfacePoints
+from jaxscan.geometry import Scanner, lit_points, points, poses, transform
+from jaxscan.recalibration.observed import RoomObservations, SurfacePoints, SweepStripes
 
 
 def triangulate_points(
@@ -43,3 +43,17 @@ def place_points(
     points = observations.points if points is None else points
     pose = None if stations is None else np.asarray(stations)[np.asarray(observations.station)[points.sweep]]
     return triangulate_points(scanner, points.q, points.laser, observations.angles_of(points, corrections), pose)
+
+
+def points_of_records(scanner: Scanner, sweep: SweepStripes) -> Callable[[int], Float[np.ndarray, "points 3"] | None]:
+    """Points at angle 0 of the first stripe of each record, in the order along it; None for a record without one."""
+
+    def of(record: int) -> Float[np.ndarray, "points 3"] | None:
+        profiles = np.flatnonzero(sweep.record == record)
+        if not len(profiles):
+            return None
+        line = np.flatnonzero(sweep.valid[profiles[0]])
+        profile = np.full(len(line), profiles[0])
+        return np.asarray(points(scanner.rig, sweep.pixels(profile, line), sweep.laser[profile], 0.0))
+
+    return of

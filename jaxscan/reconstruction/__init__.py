@@ -21,11 +21,7 @@ if TYPE_CHECKING:
     from jaxscan.reconstruction.doubts import journal_doubts, pair_notes, profile_doubts, sweep_doubts
     from jaxscan.reconstruction.extraction import (
         Extraction,
-        StripePart,
-        can_be_split,
         extract,
-        extract_part,
-        join_parts,
     )
     from jaxscan.reconstruction.false_stripes import Decoys
     from jaxscan.reconstruction.kept import extraction_key, kept_arrays, usable_stripes

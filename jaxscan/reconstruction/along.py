@@ -6,10 +6,11 @@ from typing import NamedTuple
 
 import numpy as np
 from jaxtyping import Bool, Float
+from numpy.lib.stride_tricks import sliding_window_view
 
 from jaxscan.reconstruction.ahead import Progress, map_ahead, workers
 from jaxscan.reconstruction.sweep import place
-from jaxscan.stripes import ProfileRows, ScatterLaw, Sites, Stripes, scatter_law, smooth_profiles
+from jaxscan.stripes import ProfileRows, ScatterLaw, Sites, Stripes, mosaic_wave, scatter_law, smooth_profiles
 
 
 _PROFILES = 32
@@ -17,6 +18,8 @@ _PROFILES = 32
 _ALL_LINES: Mapping[int, Sites] = MappingProxyType({})
 _COMMON_LINES = 10
 """Lines on either side with which an error is shared: half of a window."""
+_SIDE = 6
+"""Sites on either side of a row from which its slope and the change of its brightness are taken."""
 
 
 class SmoothedSweep(NamedTuple):
@@ -43,18 +46,23 @@ def smooth_sweep(stripes: Stripes, sites: Mapping[int, Sites] = _ALL_LINES, prog
         sites: Where the colour of each laser is seen; on all lines where not given.
     """
     rows = ProfileRows(
-        np.asarray(stripes.u, np.float32),
+        np.array(stripes.u, np.float32),
         np.asarray(stripes.sigma, np.float32),
         np.asarray(stripes.valid),
         np.asarray(stripes.amplitude, np.float32),
     )
+    width = np.asarray(stripes.width, np.float32)
     found, done = SmoothedSweep(*(np.zeros(rows.u.shape, np.float32) for _ in SmoothedSweep._fields)), 0
     for laser in np.unique(np.asarray(stripes.laser)).tolist():
         # Noise and colour are those of a laser.
         own, seen = np.flatnonzero(np.asarray(stripes.laser) == laser), sites.get(laser, Sites())
         law = scatter_law(_taken(rows, own), seen.line_step)
+        wave = mosaic_wave(_taken(rows, own), law.correlation.near, seen.line_step)
+        if wave is not None:
+            rows.u[own] -= wave.error
+            law = scatter_law(_taken(rows, own), seen.line_step).with_mosaic(wave.left_px)
         blocks = [own[start : start + _PROFILES] for start in range(0, len(own), _PROFILES)]
-        smooth = lambda block, law=law, seen=seen: _smooth(_taken(rows, block), law, seen)
+        smooth = lambda block, law=law, seen=seen: _smooth(_taken(rows, block), width[place(block)], law, seen)
         for block, part in zip(blocks, map_ahead(smooth, blocks, workers()), strict=True):
             for to, field in zip(found, part, strict=True):
                 to[place(block)] = field
@@ -68,7 +76,7 @@ def _taken(rows: ProfileRows, profiles: np.ndarray) -> ProfileRows:
     return ProfileRows(*(field[place(profiles)] for field in rows))
 
 
-def _smooth(rows: ProfileRows, law: ScatterLaw, sites: Sites) -> SmoothedSweep:
+def _smooth(rows: ProfileRows, width: np.ndarray, law: ScatterLaw, sites: Sites) -> SmoothedSweep:
     """Profiles of one laser."""
     scatter = law.of(rows)
     u, valid = rows.u, rows.valid
@@ -78,7 +86,33 @@ def _smooth(rows: ProfileRows, law: ScatterLaw, sites: Sites) -> SmoothedSweep:
     sigma = np.maximum(sigma, np.sqrt(common))
     stated = np.minimum(np.sqrt(found.sigma**2 + common), sigma)
     alone = sigma * np.sqrt(found.alike)
-    return SmoothedSweep(found.u, stated, np.where(valid, u - found.u, 0), alone, found.shared_lines)
+    pull = _pull(found.u, width, rows, sites)
+    return SmoothedSweep(found.u - pull, stated, np.where(valid, u - found.u, 0), alone, found.shared_lines)
+
+
+def _pull(u: np.ndarray, width: np.ndarray, rows: ProfileRows, sites: Sites) -> np.ndarray:
+    r"""How far brighter neighbours pull centres [px].
+
+    A stripe of width w is as wide along the image's lines as across: light of line v + k comes to line v with a weight
+    that falls as a Gaussian. Where its slope is s and its amplitude A, the centre moves by $w^2 s A' / A$, with w
+    measured at right angles to it. At an edge the less steep side counts.
+    """
+    found = np.zeros_like(u)
+    step, lines = sites.line_step, slice(sites.first_line, None, sites.line_step)
+    u, width, valid, amplitude = (field[:, lines] for field in (u, width, rows.valid, rows.amplitude))
+    size = 2 * _SIDE + 1
+    if u.shape[1] < size:
+        return found
+    middle = slice(_SIDE, -_SIDE)
+    there = sliding_window_view(valid, size, 1).all(2)
+    before, after = u[:, middle] - u[:, : -2 * _SIDE], u[:, 2 * _SIDE :] - u[:, middle]
+    rise = np.where(before * after > 0, np.sign(after) * np.minimum(np.abs(before), np.abs(after)), 0)
+    slope = rise / (_SIDE * step)
+    k = np.arange(-_SIDE, _SIDE + 1, dtype=u.dtype)
+    brighter = sliding_window_view(np.log(np.maximum(amplitude, 1)), size, 1) @ (k / (step * (k @ k)))
+    pulled = np.where(there, width[:, middle] ** 2 * slope / (1 + slope**2) * brighter, 0)
+    found[:, lines][:, middle] = pulled
+    return found
 
 
 def _spread_out(

@@ -21,7 +21,7 @@ from jaxscan.reconstruction.false_stripes import Decoys, DecoyWatch, judge_sweep
 from jaxscan.reconstruction.plan import Plan, plan_sweep
 from jaxscan.reconstruction.settings import DEFAULTS, ReconstructSettings
 from jaxscan.reconstruction.sweep import Batch, FrameChunk, SweepSource, batches, colour_exposure, place, rows_of
-from jaxscan.reconstruction.without_off import GIVEN, Dark, darks, predicts, with_off
+from jaxscan.reconstruction.without_off import GIVEN, Dark, darks, with_off
 from jaxscan.stripes import (
     KEPT_FIELDS,
     BlackLevelError,
@@ -101,61 +101,10 @@ def extract(
         CalibrationError: If the scanner is not that of the sweep.
     """
     plan = plan_sweep(sweep, scanner, settings)
-    return join_parts(plan, [extract_part(plan, noise=noise, progress=progress)])
-
-
-class StripePart(NamedTuple):
-    """The stripes of some neighbouring records of a sweep, before the decoys of all have judged them."""
-
-    fields: dict[str, np.ndarray]
-    """As of `Stripes`, a profile for each laser in a record."""
-    decoys: Decoys
-    """Those of the profiles that were searched for them; none where a line has several stripes."""
-    notes: tuple[str, ...]
-    """As of `Extraction`, of what was learned."""
-    noise: str
-
-
-def can_be_split(plan: Plan) -> bool:
-    """Whether parts of a sweep, found apart, are to the last bit what the whole gives.
-
-    Not where laser-off frames are predicted from neighbours, steps are compared, a line has several stripes, or a laser
-    is first lit after the records from which is learned.
-    """
-    sweep, settings = plan.sweep, plan.settings
-    shown = np.unique(sweep.laser[sweep.record < plan.size])
-    one_each = not settings.check_steps and settings.stripes.choice != "all"
-    return one_each and len(shown) == len(np.unique(sweep.laser)) and not predicts(sweep)
-
-
-def extract_part(
-    plan: Plan,
-    part: SweepSource | None = None,
-    before: int = 0,
-    *,
-    noise: NoiseModel | None = None,
-    progress: Progress = None,
-) -> StripePart:
-    """The stripes of a sweep, or of some neighbouring records of one that `can_be_split`.
-
-    Args:
-        plan: Of the whole sweep; its first chunk is read to learn from.
-        part: The records; all where not given.
-        before: Number of profiles of the sweep before them.
-        noise: Noise of a frame; learned where not given.
-        progress: Called with (records done, records of the part) after every chunk.
-    """
     ahead, coming = _ahead(plan)
     learned = _learn_straightest(plan, _first(ahead), noise)
     frames = with_off(plan, learned.dark) if learned.chosen else _replayed(ahead, coming)
-    watch = DecoyWatch(plan, predicted=learned.dark.source != "given", first=before)
-    if part is not None:
-        for batch in batches(plan.sweep, plan.size, frames):
-            learned = learned.taught_by(batch)
-            if learned.ready:
-                break
-        plan = dataclasses.replace(plan_sweep(part, plan.scanner, plan.settings), size=plan.size)
-        frames = with_off(plan)
+    watch = DecoyWatch(plan, predicted=learned.dark.source != "given")
     sweep, each, settings = plan.sweep, learned.profiles_per_record, plan.settings
     fields = empty_stripes(each * len(sweep.record), plan.lines)
     chosen = np.full((len(sweep.record), plan.lines), -1, np.int8)
@@ -183,29 +132,16 @@ def extract_part(
             progress(int(sweep.record[batch.profiles[-1]]) + 1, len(sweep))
     if settings.check_steps:
         fields = pick_by_steps(fields, chosen, sweep.laser, sweep.angles[sweep.record])
-    return StripePart(fields, Decoys.joined(decoys), learned.notes, learned.noise)
-
-
-def join_parts(plan: Plan, parts: Sequence[StripePart]) -> Extraction:
-    """The stripes of a sweep from those of all its records, in their order; no frame is read.
-
-    Raises:
-        CaptureError: If the stripes are not more, or not clearer, than those of chance.
-    """
-    sweep = plan.sweep
-    fields = {name: np.asarray(_joined([part.fields[name] for part in parts])) for name in parts[0].fields}
-    decoys, notes = Decoys.joined([part.decoys for part in parts]), parts[0].notes
-    if len(decoys.profile) and len(fields["u"]) == len(sweep.record):
-        chance, accepted = judge_sweep(plan, fields, decoys)
+    every, notes = Decoys.joined(decoys), learned.notes
+    if len(every.profile) and len(fields["u"]) == len(sweep.record):
+        chance, accepted = judge_sweep(plan, fields, every)
         notes = (*notes, *([chance.note] if chance.note else []))
         if chance.least > 0.0:
-            # The parts are the caller's.
-            fields = {name: field.copy() for name, field in fields.items()}
             for field in fields.values():
                 field[~accepted] = 0
     profile = np.arange(len(fields["u"])) // (len(fields["u"]) // len(sweep.record))
     stripes = Stripes(**fields, record=sweep.record[profile], laser=sweep.laser[profile])
-    return Extraction(stripes, notes, parts[0].noise)
+    return Extraction(stripes, notes, learned.noise)
 
 
 @dataclass(frozen=True, eq=False)
@@ -228,11 +164,6 @@ class Learned:
     notes: tuple[str, ...] = ()
     noise: str = ""
     """As of `Extraction`."""
-
-    @property
-    def ready(self) -> bool:
-        """Whether all lasers are known."""
-        return self.taught >= self.engines.keys()
 
     @property
     def compiles(self) -> bool:

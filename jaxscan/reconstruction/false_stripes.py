@@ -185,13 +185,8 @@ class Decoys(NamedTuple):
 class DecoyWatch:
     """Searches some profiles of a sweep for decoys while they pass by."""
 
-    def __init__(self, plan: Plan, *, predicted: bool, first: int = 0) -> None:
-        """
-        Args:
-            plan: Of the whole sweep.
-            predicted: Whether the laser-off frames are predicted.
-            first: Where a part of the sweep is watched, the number of profiles before it.
-        """
+    def __init__(self, plan: Plan, *, predicted: bool) -> None:
+        """Choose the profiles; with `predicted`, the laser-off frames are."""
         lasers, every = np.unique(plan.sweep.laser), Spacing.of(plan).every
         runs = -(-(_RUNS_WITHOUT_OFF if predicted else _RUNS) // len(lasers))
         self._chosen: set[int] = set()
@@ -200,8 +195,8 @@ class DecoyWatch:
             span = every * (_RUN - 1) + 1
             count = max(1, min(runs, len(own) // span))
             for start in np.linspace(0, max(len(own) - span, 0), count).astype(int):
-                self._chosen |= set((own[start : start + span : every] - first).tolist())
-        self._first, self._lines = first, plan.lines
+                self._chosen |= set(own[start : start + span : every].tolist())
+        self._lines = plan.lines
 
     def look(self, batch: Batch, search: Callable[[Batch], ChunkStripes]) -> Decoys:
         """The decoys of the chosen profiles of a batch."""
@@ -216,7 +211,7 @@ class DecoyWatch:
             # Where all candidates of a line are wanted none is judged.
             return Decoys(np.zeros(0, int), none, none)
         u, amplitude = (np.asarray(field, np.float32) for field in (found.u, found.amplitude))
-        return Decoys(batch.profiles[rows] + self._first, u, np.where(np.asarray(found.valid), amplitude, 0.0))
+        return Decoys(batch.profiles[rows], u, np.where(np.asarray(found.valid), amplitude, 0.0))
 
 
 def judge_sweep(plan: Plan, stripes: Mapping[str, np.ndarray], decoys: Decoys) -> tuple[Chance, np.ndarray]:

@@ -35,7 +35,8 @@ _NEAREST_M, _FARTHEST_M = 0.3, 10.0
 _NODES_PX = 16
 """Distance between the pixels of which the place in another step is computed [px]."""
 _AGREE_DN = 8.0
-"""Difference of two steps up to which their mean is taken, and beyond it the darker: one has a stripe there [DN]."""
+"""Difference of two steps up to which their mean is taken, and beyond it the median of both and of the frame itself: one
+of the two has a stripe there, or an edge is not where it should be [DN]."""
 _MOST_DN = 20.0
 """Residual from which more is not worse [DN]."""
 _AROUND = (8, 4)
@@ -227,7 +228,7 @@ def places(
     q = pixels(rig, at, phi[1])
     sites, (u, line) = lattice.sites, (q[..., 0], q[..., 1]) if axis == "rows" else (q[..., 1], q[..., 0])
     found = np.stack([(line - sites.first_line) / sites.line_step, (u - sites.offsets[0]) / sites.pitch], -1)
-    # A pixel that is nowhere in the other step is taken from its border, and will not agree.
+    # A pixel that is nowhere in the other step.
     return np.nan_to_num(found, nan=-1.0, posinf=1e6, neginf=-1e6).astype(np.float32)
 
 
@@ -245,8 +246,13 @@ def moved(seen: Channels, neighbours: tuple[Channels, Channels], where: tuple[np
     best, least = own, np.full_like(level, np.inf)
     for number in range(len(where[0])):
         first, second = (warped(stack, place[number], _NODES_PX) for stack, place in zip(stacks, where, strict=True))
+        # What only one of the steps sees is taken from that one; what none sees is no prediction.
+        first, second = (np.where(np.isnan(one), other, one) for one, other in ((first, second), (second, first)))
+        first, second = np.nan_to_num(first), np.nan_to_num(second)
         apart, darker = np.abs(first - second), np.minimum(first, second)
-        found = np.where(apart < np.float32(_AGREE_DN), 0.5 * (first + second), darker)
+        # Not the darker of both: at every edge it would leave a bright line.
+        between = np.clip(own, darker, np.maximum(first, second))
+        found = np.where(apart < np.float32(_AGREE_DN), 0.5 * (first + second), between)
         size = np.minimum(apart, np.float32(_MOST_DN)) + np.minimum(np.abs(own - darker), np.float32(_MOST_DN))
         size = box_mean(size.mean(0, keepdims=True), *_AROUND)[0]
         better = size < least

@@ -121,7 +121,7 @@ def headline(calibration: Calibration) -> Headline:
     if verdict.usable is None or good_to is None:
         reason = "The verdict of this file does not say how large the error is: calibrate again."
         return Headline("open", "Not judged", reason)
-    size, parts = good_to_words(good_to), _parts(calibration.quality, good_to)
+    size, parts = f"{good_to_words(good_to)}{_by_poses(calibration, good_to)}", _parts(calibration.quality, good_to)
     if verdict.usable is False:
         because = f"; {parts}" if parts else ""
         return Headline("bad", f"Good to only {size}", f"Refused: {verdict.refused or 'it cannot be used'}{because}.")
@@ -145,6 +145,21 @@ def good_to_words(good_to: GoodTo) -> str:
     return (
         "an unknown size" if good_to.sigma_px is None else f"{pixels(good_to.sigma_px)} over the image{_edge(good_to)}"
     )
+
+
+def _by_poses(calibration: Calibration, good_to: GoodTo) -> str:
+    """The error of a profile's place by the given pose of the hand, which is no part of the calibration; or ""."""
+    hand, reach = _hand(calibration), good_to.at_m or 1.0
+    if hand is None:
+        return ""
+    place, angle = (float(one) for one in hand.scatter)
+    away = millimetres(1e3 * math.hypot(place, angle * reach))
+    return f" within one profile, and each pose of the hand adds {away} at {metres(reach)}"
+
+
+def _hand(calibration: Calibration) -> Hand | None:
+    motion = None if calibration.scanner is None else calibration.scanner.turntable
+    return motion if isinstance(motion, Hand) else None
 
 
 def _edge(good_to: GoodTo) -> str:
@@ -196,14 +211,10 @@ def _explanation(calibration: Calibration, good_to: GoodTo) -> str:
         sentences.append(halved)
     if good_to.sigma_mm is not None and good_to.sigma_px is not None:
         sentences.append(f"Its rays are good to {pixels(good_to.sigma_px)}{_edge(good_to)}.")
-    motion = None if calibration.scanner is None else calibration.scanner.turntable
-    if isinstance(motion, Hand):
-        place, angle = (float(one) for one in motion.scatter)
-        reach = good_to.at_m or 1.0
-        away = millimetres(1e3 * math.hypot(place, angle * reach))
+    if (hand := _hand(calibration)) is not None:
+        place, angle = (float(one) for one in hand.scatter)
         sentences.append(
-            f"This is within one profile: each pose of the hand is off by {millimetres(1e3 * place)} and "
-            f"{math.degrees(angle):.2g} degrees besides, which is {away} at {metres(reach)}."
+            f"Each pose of the hand is off by {millimetres(1e3 * place)} and {math.degrees(angle):.2g} degrees."
         )
     if board is not None and board.free != "parabola":
         sentences.append(f"The board's shape was freed: {millimetres(1e3 * board.rms_off_flat_m)} RMS off flat.")

@@ -215,7 +215,7 @@ def cover(rig: TrueRig, board: SeenBoard, depth: np.ndarray, blur: Blur) -> Cove
 
     Args:
         depth: Depth of the board at pixel centres, inf where missed [height, width].
-        blur: Of the lens, in all pixels.
+        blur: Blur of the lens, in all pixels.
 
     Returns:
         The pixels that it covers.

@@ -20,14 +20,14 @@ Number = Annotated[float, Field(ge=-1e6, le=1e6)]
 Place = Annotated[float, Field(ge=-1e3, le=1e3)]
 """A coordinate, m."""
 Distance = Annotated[float, Field(ge=1e-3, le=1e4)]
-"""Of something in front of the camera, m."""
+"""A distance in front of the camera, m."""
 Millimetres = Annotated[float, Field(ge=1e-3, le=1e4)]
 WIDEST_BLUR_PX = 50.0
 Pixels = Annotated[float, Field(ge=0.01, le=WIDEST_BLUR_PX)]
 """Width of a blur, px: the time and memory of rendering grow with it."""
 Focal = Annotated[float, Field(ge=1.0, le=1e6)]
 Level = Annotated[float, Field(gt=1e-6, le=1e6)]
-"""Of light, DN."""
+"""A level of light, DN."""
 Fraction = Annotated[float, Field(ge=-1, le=1)]
 Gain = Annotated[float, Field(ge=-1e3, le=1e3)]
 Angle = Annotated[float, Field(ge=-36_000, le=36_000)]
@@ -36,7 +36,7 @@ Share = Annotated[float, Field(ge=0, lt=1)]
 Albedo = Annotated[float, Field(gt=0, le=1)]
 Name = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[^\x00-\x1f\x7f]+$")]
 Size = Annotated[int, Field(ge=8, le=65535)]
-"""Of an image along an axis, px."""
+"""Width or height of an image, px."""
 Pair = tuple[float, float]
 Triple = tuple[Number, Number, Number]
 Point = tuple[Place, Place, Place]
@@ -139,7 +139,7 @@ class BoardsSpec(Section):
     marker_mm: Millimetres = 22.0
     dictionary: Annotated[str, AfterValidator(known_dictionary)] = "DICT_5X5_250"
     tag_mm: Millimetres = 40.0
-    """Of an AprilGrid, as is the distance of its tags."""
+    """Side of an AprilGrid's tags; `gap_mm` is the distance between them."""
     gap_mm: Millimetres = 12.0
     border_mm: Annotated[float, Field(ge=0, le=1e4)] = 15.0
     """White margin around the printed area."""
@@ -232,7 +232,7 @@ class SensorSpec(Section):
     black_dn: Annotated[float, Field(ge=0, le=200)] = 0.0
     """Level that the sensor adds to everything, in DN of the linear signal."""
     pixel_um: Annotated[float, Field(ge=0.5, le=50)] = 3.45
-    """Side of a pixel: with the aperture and the laser's wavelength it says how large grains of speckle are."""
+    """Side of a pixel: it determines, with the aperture and the laser's wavelength, how large grains of speckle are."""
     f_number: Annotated[float, Field(ge=0.7, le=64)] = 4.0
     """Working f-number of the lens."""
     gain_spread: Share = 0.0

@@ -5,9 +5,8 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from functools import lru_cache, partial
 from itertools import islice
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, TypeVar
 
-import jax
 import numpy as np
 
 from jaxscan.errors import ConfigError
@@ -92,7 +91,7 @@ def truth(config: SimulationConfig) -> dict[str, Any]:
     out: dict[str, Any] = {
         "format": "jaxscan-truth/1",
         "seed": config.seed,
-        "parameters": {name: _plain(value) for name, value in _parameters(scanner).items()},
+        "parameters": dict(zip(scanner.parameter_names(), _plain(scanner.values()), strict=True)),
         "lasers": lasers,
         "turntable": {
             "carries": config.turntable.carries,
@@ -118,24 +117,6 @@ def _axis(spec: TurntableSpec) -> Turntable:
     tr = np.array(spec.tr)
     tr[:3, 3] /= 1000
     return Turntable.from_tr(tr)
-
-
-def _parameters(scanner: Scanner) -> dict[str, Any]:
-    """Values of the minimal coordinates; a tangent coordinate is 0 at its own base point."""
-    # Simulated rigs have a table.
-    camera, table = scanner.camera, cast(Turntable, scanner.turntable)
-    values: dict[str, Any] = dict.fromkeys(scanner.parameter_names(), 0.0)
-    values |= dict(zip(camera.parameter_names(), np.asarray(camera.parameters()), strict=True))
-    for index, name in enumerate(scanner.laser_names):
-        sheet = jax.tree.map(lambda leaf, index=index: leaf[index], scanner.lasers)
-        values |= {
-            f"laser.{name}.d": sheet.distance,
-            f"laser.{name}.b2": sheet.bow[0],
-            f"laser.{name}.b3": sheet.bow[1],
-        }
-    values["gain"] = table.gain
-    values |= dict(zip(("c1", "s1", "c2", "s2"), np.asarray(table.harmonics), strict=True))
-    return values
 
 
 def _planes(room: RoomSpec, motion: Motion) -> list[dict[str, Any]]:
@@ -381,7 +362,7 @@ def _turns(rig: TrueRig, pose: Motion, count: int) -> tuple[float, ...]:
         ends.append(phi)
     if ends[1] - ends[0] < 0.1:
         return ()
-    # Whole hundredths of a degree, which a stepper can be told to go to.
+    # Whole hundredths of a degree, to which a stepper can be sent.
     return tuple(float(np.deg2rad(round(np.rad2deg(phi), 2))) for phi in np.linspace(ends[0], ends[1], count))
 
 
@@ -675,7 +656,7 @@ def render_sweep(
     Args:
         config: The rig and its room.
         every: Only every n-th step.
-        seed: Of the noise, instead of the configuration's. The same seed gives the same frames,
+        seed: Seed of the noise, instead of the configuration's. The same seed gives the same frames,
             whatever `every` is.
         angles: Commanded angles [rad], instead of those of the plan.
         scene: What the rig sees, instead of the configuration's room alone; see `make_scene`.
@@ -701,7 +682,7 @@ def render_boards(
         config: The rig and its board.
         texture: Picture of the board's printed area (`board.outline()`), uint8 [rows, columns],
             row 0 at y0 and column 0 at x0, with a whole number of cells per square.
-        seed: Of poses and noise, instead of the configuration's.
+        seed: Seed of poses and noise, instead of the configuration's.
     """
     seed = config.seed if seed is None else seed
     rig, scene = make_rig(config), make_scene(config, boards=config.object is not None)

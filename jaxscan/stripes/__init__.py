@@ -45,6 +45,7 @@ if TYPE_CHECKING:
         to_8_bits,
         with_colour,
     )
+    from jaxscan.stripes.mosaic import mosaic_wave
     from jaxscan.stripes.pairs import judge_pairs
     from jaxscan.stripes.predict import Channels, box_mean, predict_off, read_channels, warped
     from jaxscan.stripes.scatter import ProfileRows, ScatterLaw, scatter_law

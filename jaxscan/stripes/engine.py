@@ -21,11 +21,11 @@ from jaxtyping import Bool, Float, Int, Int8, UInt8
 
 from jaxscan.compiling import compile_wide
 from jaxscan.geometry import Array, StripeAxis
-from jaxscan.memory import kept
 from jaxscan.stripes.channels import doubted, doubts_of, other_channels
 from jaxscan.stripes.choose import choose_stripes, chosen_of, on_image_lines
 from jaxscan.stripes.estimators import ESTIMATORS, Estimator, estimator_of
 from jaxscan.stripes.exposures import merge_exposures
+from jaxscan.stripes.faint import Look, with_faint
 from jaxscan.stripes.frames import (
     Colour,
     LaserLine,
@@ -38,7 +38,6 @@ from jaxscan.stripes.frames import (
     learn_noise,
     with_colour,
 )
-from jaxscan.stripes.gaps import LEAST_SNR, PASSES, fill_gaps, find_gaps
 from jaxscan.stripes.planes import Plane, plane_of
 from jaxscan.stripes.search import (
     LEARNED_FRAMES,
@@ -176,7 +175,7 @@ class StripeEngine(eqx.Module):
             return of_level.extract(on[:, level], None if off is None else off[:, level], records)
         count, exposures = len(on), len(self.setup.exposures)
         room = max(records, count)
-        kind = _Kind.of(self.setup, on.shape[1 + (exposures > 1) :], fills=bool(self.search.speckle > 0))
+        kind = _Kind.of(self.setup, on.shape[1 + (exposures > 1) :])
         pair = [None if frames is None else _bytes_around(frames, room) for frames in (on, off)]
         if count > 1 and pair[0] is None and _bytes_around(on[1:], room) is not None:
             # The first frame of a large array alone has to be copied.
@@ -243,11 +242,9 @@ class _Kind(NamedTuple):
     choice: Choice
     exposures: tuple[float, ...]
     several: bool
-    fills: bool
-    """Whether gaps may be filled: without speckle none is, and their code need not be compiled."""
 
     @classmethod
-    def of(cls, setup: ExtractionSetup, shape: tuple[int, ...], *, fills: bool) -> "_Kind":
+    def of(cls, setup: ExtractionSetup, shape: tuple[int, ...]) -> "_Kind":
         frames, line = setup.frames, setup.line
         # Of a mono camera the colour means nothing.
         colour: Any = "red" if frames.pixel_format == "mono8" else line.colour
@@ -262,7 +259,6 @@ class _Kind(NamedTuple):
             settings.choice,
             setup.exposures,
             setup.several,
-            fills,
         )
 
     @property
@@ -321,28 +317,27 @@ def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind
         return lit, dark, jnp.float32(1.0) if dark is None else _ratio(lit.samples, dark.samples, search)
 
     every = functools.partial(_of_frames, count=count, frames=frames)
-    measured = every(lambda k: estimator.measure(*planes(k), search, sites, kind.linear))
-    offsets = jnp.asarray(sites.offsets, jnp.float32)[jnp.arange(measured.u.shape[2]) % len(sites.offsets)]
-    shift = lambda u: u + offsets.reshape(*(1,) * (u.ndim - 1), -1)
-    in_image = lambda found: found._replace(u=jnp.where(found.valid, shift(found.u), 0.0))
-    measured = in_image(measured)
-    number = choose_stripes(measured, search, kind.choice)
-    if (measure_at := estimator.at) is not None and number is not None and kind.fills and kind.choice == "path":
-        least = search._replace(limits=search.limits._replace(least_snr=jnp.float32(LEAST_SNR)))
+    offsets = np.asarray(sites.offsets, np.float32)
 
-        def fill(_, known: tuple[FrameStripes, Array]) -> tuple[FrameStripes, Array]:
-            gaps = find_gaps(*known)
-            # Without speckle a stripe does not fade, and a dark line between bright ones is a gap.
-            gaps = gaps._replace(exists=gaps.exists & (search.speckle > 0.0))
+    def measured_by(look: Callable[[Array], Look | None] = lambda k: None) -> FrameStripes:
+        found = every(lambda k: estimator.measure(*planes(k), search, sites, kind.linear, look(k)))
+        shifted = found.u + offsets[np.arange(found.u.shape[2]) % len(offsets)][None, None]
+        return found._replace(u=jnp.where(found.valid, shifted, 0.0))
 
-            def in_gaps(k: Array) -> FrameStripes:
-                peaks = jax.tree.map(lambda field: field[k][None], gaps.peaks(offsets[None], sites.pitch))
-                found = kept(jnp.any(peaks.exists), lambda: measure_at(*planes(k), peaks, least, sites, kind.linear))
-                return jax.tree.map(lambda field: field[0], found)
+    if estimator.faint and kind.choice == "path":
+        shapes = jax.eval_shape(measured_by)
+        nothing = jax.tree.map(lambda field: jnp.zeros(field.shape, field.dtype), shapes)
+        none = jnp.full((frames, nothing.u.shape[2]), -1, jnp.int8)
 
-            return fill_gaps(*known, gaps, in_image(every(in_gaps)))
+        def look(again: Array, known: tuple[FrameStripes, Array]) -> tuple[FrameStripes, Array]:
+            found = measured_by(lambda k: Look(again > 0, known[1][k] < 0))
+            first = lambda: (found, choose_stripes(found, search, kind.choice))
+            return lax.cond(again > 0, lambda: with_faint(*known, found), first)
 
-        measured, number = lax.fori_loop(0, PASSES, fill, (measured, number))
+        measured, number = lax.fori_loop(0, 2, look, (nothing, none))
+    else:
+        measured = measured_by()
+        number = choose_stripes(measured, search, kind.choice)
     lines = kind.shape[0] if kind.stripe_axis == "rows" else kind.shape[1]
     stripes, chosen = on_image_lines(measured, number, sites, lines, several=kind.several)
     if len(kind.exposures) > 1:
@@ -470,7 +465,7 @@ def stripes_of_frames(engine: StripeEngine, on: UInt8[Array, "frames ..."], off:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
         off: Laser-off frames of the same shape, or None.
     """
-    kind = _Kind.of(engine.setup, on.shape[1:], fills=True)
+    kind = _Kind.of(engine.setup, on.shape[1:])
     stack = lambda frames: _Stack(frames.reshape(-1), jnp.int32(0))
     return _of_stack(
         stack(on), None if off is None else stack(off), jnp.int32(len(on)), engine.search, kind, len(on)

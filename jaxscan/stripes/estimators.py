@@ -22,9 +22,10 @@ import numpy as np
 from jaxtyping import Float
 
 from jaxscan.geometry import Array
+from jaxscan.stripes.faint import Look
 from jaxscan.stripes.fit import fit_peaks
 from jaxscan.stripes.frames import Sites
-from jaxscan.stripes.peaks import CANDIDATES, Peaks, find_peaks
+from jaxscan.stripes.peaks import CANDIDATES, find_peaks
 from jaxscan.stripes.planes import Plane
 from jaxscan.stripes.search import Search
 from jaxscan.stripes.stripes import Choice, FrameStripes, StripeSettings
@@ -42,33 +43,34 @@ _BLUR = (0.25, 0.5, 0.25)
 class Estimator(NamedTuple):
     """Finds and measures stripes; the engine learns, chooses among candidates, and puts them on the image's lines."""
 
-    measure: Callable[[Plane, Plane | None, Array, Search, Sites, bool], FrameStripes]
+    measure: Callable[[Plane, Plane | None, Array, Search, Sites, bool, Look | None], FrameStripes]
     """Candidates [candidates, lines of the plane] of one frame, zero where there is no stripe; pure and traceable. It
     takes the frame with the laser on and off, the factor by which light of the laser-off frame is multiplied, where to
-    look and what is believed, where the plane lies in the image, and whether codes are linear levels."""
+    look and what is believed, where the plane lies in the image, whether codes are linear levels, and what it looks for
+    where it looks twice."""
     candidates: int
     """Largest number of candidates of a line."""
     choices: tuple[Choice, ...]
     """Rules of choice that make sense of its candidates."""
-    at: Callable[[Plane, Plane | None, Array, Peaks, Search, Sites, bool], FrameStripes] | None
-    """The same at given places, where it can; in place of a search."""
+    faint: bool
+    """Whether it looks again, for faint stripes of lines on which none was found."""
     learns: bool
     """Whether the stripes of the first frames tell it width and speckle."""
 
 
-def _gaussian(on: Plane, off: Plane | None, lamp_ratio: Array, search: Search, sites: Sites, linear: bool):
-    pitch = sites.pitch
-    peaks = find_peaks(on, off, lamp_ratio, search.low, search.high, search.thresholds, pitch=pitch)
-    return _gaussian_at(on, off, lamp_ratio, peaks, search, sites, linear)
-
-
-def _gaussian_at(
-    on: Plane, off: Plane | None, lamp_ratio: Array, peaks: Peaks, search: Search, sites: Sites, linear: bool
+def _gaussian(
+    on: Plane, off: Plane | None, lamp_ratio: Array, search: Search, sites: Sites, linear: bool, look: Look | None
 ):
-    return fit_peaks(on, off, lamp_ratio, peaks, search, pitch=sites.pitch, linear=linear)
+    pitch, lines = sites.pitch, {} if look is None else {"together": look.again, "wanted": look.lacking}
+    peaks = find_peaks(on, off, lamp_ratio, search.low, search.high, search.thresholds, pitch=pitch, **lines)
+    asked = search if look is None else look.search(search)
+    found = fit_peaks(on, off, lamp_ratio, peaks, asked, pitch=pitch, linear=linear)
+    return found if look is None else look.believed(found, peaks, search)
 
 
-def _centre_of_gravity(on: Plane, off: Plane | None, lamp_ratio: Array, search: Search, sites: Sites, linear: bool):
+def _centre_of_gravity(
+    on: Plane, off: Plane | None, lamp_ratio: Array, search: Search, sites: Sites, linear: bool, look: Look | None
+):
     """The centre of gravity of the brightest place of every line, its standard deviation by propagation."""
     limits, levels, samples, pitch = search.limits, jnp.asarray(search.levels), on.samples.shape[1], sites.pitch
     number = jnp.arange(samples, dtype=jnp.int32)[None]
@@ -136,9 +138,9 @@ def _median(on: Float[Array, "lines samples"], gate: Array) -> Array:
 
 ESTIMATORS = {
     "gaussian": Estimator(
-        _gaussian, CANDIDATES, ("path", "brightest", "nearest", "farthest", "all"), _gaussian_at, learns=True
+        _gaussian, CANDIDATES, ("path", "brightest", "nearest", "farthest", "all"), faint=True, learns=True
     ),
-    "centre_of_gravity": Estimator(_centre_of_gravity, 1, ("path", "brightest"), None, learns=False),
+    "centre_of_gravity": Estimator(_centre_of_gravity, 1, ("path", "brightest"), faint=False, learns=False),
 }
 """All estimators, by the names that settings and the command line have for them."""
 

@@ -46,6 +46,11 @@ _TEETH = 16
 """Points of a comb; the number of one takes four bits of a key."""
 _MARGIN = 3
 """Lattice points that the filters reach to either side."""
+TOGETHER = 5
+"""Lines of a sum."""
+_CLEARER = 1.5
+"""Threshold of half a sum in that of a line: its noise is 1.12 times that of a line, and of many lines without a stripe
+none may be found by chance [1]."""
 
 
 class Peaks(NamedTuple):
@@ -60,6 +65,8 @@ class Peaks(NamedTuple):
     """First sample of the window for the fit; may lie outside the line."""
     bins: Int[Array, "candidates lines"]
     """Neighbouring samples that are taken as one."""
+    height: Float[Array, "candidates lines"]
+    """Response over the threshold [1]."""
 
 
 def find_peaks(
@@ -71,6 +78,8 @@ def find_peaks(
     thresholds: Int16[Array, "256"],
     *,
     pitch: int,
+    together: Bool[Array, ""] | None = None,
+    wanted: Bool[Array, " lines"] | None = None,
 ) -> Peaks:
     """The candidates of a frame.
 
@@ -81,6 +90,9 @@ def find_peaks(
         high: The sample behind the last one; a line whose `high` is not above `low` has no candidate.
         thresholds: Smallest response of a candidate by the level of the room around it.
         pitch: Distance between samples [px], 1 or 2.
+        together: Whether one candidate is looked for in the sum of `TOGETHER` lines around each, above its mean: over
+            several lines the laser's stray light is no noise.
+        wanted: Lines on which candidates are looked for; all where not given.
 
     Raises:
         ValueError: If a line has more samples than the search can count.
@@ -96,53 +108,61 @@ def find_peaks(
     if off is not None:
         room = _lattice(off.samples, pitch)
         level = level - room - _brighter(room, lamp_ratio)
-    lattice = jnp.where(inside, level, jnp.int16(0))
+    lattice, lines = jnp.where(inside, level, jnp.int16(0)), 1.0
+    thresholds = jnp.asarray(thresholds)
+    wanted = (jnp.asarray(high) > 0) if wanted is None else wanted & (jnp.asarray(high) > 0)
+    if together is not None:
+        lattice = lax.cond(together, lambda one: _together(one, inside, off is not None), lambda one: one, lattice)
+        lines = jnp.where(together, TOGETHER / 2, 1.0).astype(jnp.float32)
+        raised = jnp.where(together, _CLEARER, 1.0).astype(jnp.float32) * thresholds.astype(jnp.float32)
+        thresholds = raised.astype(jnp.int16)
     ground = _surround(lattice) if off is None else None
-    some = jnp.any(jnp.asarray(high) > 0)
+    some = jnp.any(wanted)
 
     def bases(at: Array) -> tuple[Array, Array]:
         """The ground under a point of every line, and the threshold there."""
-        if off is not None:
-            return jnp.zeros(()), jnp.asarray(thresholds)[_level(off, each, at)]
-        base = jnp.take_along_axis(jnp.asarray(ground), at[:, None], 1)[:, 0]
-        return base, jnp.asarray(thresholds)[base // (8 * each)]
+        base = jnp.zeros(()) if ground is None else jnp.take_along_axis(ground, at[:, None], 1)[:, 0]
+        level = (
+            _level(off, each, at)
+            if off is not None
+            else (base.astype(jnp.float32) / (8 * each * lines)).astype(jnp.int32)
+        )
+        return base, thresholds[level]
 
     def measured(line: Array, at: Array, base: Array, threshold: Array) -> tuple[Array, ...]:
         """Whether a maximum stands out, its extent to both sides and the ends of its zone."""
         around = kept(some, _around, lattice, line, at)
         count = len(around) - 2 * _MARGIN
         fine, response = _filters(
-            lambda k: around[_MARGIN + k : _MARGIN + k + count], None if off is not None else base[None]
+            lambda k: around[_MARGIN + k : _MARGIN + k + count], None if ground is None else base[None]
         )
         half = [_half_distance(fine, side) for side in (-1, 1)]
         zone = [_zone_steps(response, threshold, side) for side in (-1, 1)]
-        exists = response[_ZONE_SPAN + 1] >= threshold
-        return exists, *half, at - zone[0], at + zone[1]
+        height = response[_ZONE_SPAN + 1].astype(jnp.float32) / threshold.astype(jnp.float32)
+        return height, *half, at - zone[0], at + zone[1]
 
     def rank(keys, _):
         """The highest maximum that is left on every line, and what is left without its zone."""
         key = folded(jnp.maximum, keys)
         at = _LAST - (key & _LAST)
         base, threshold = kept(some, bases, at)
-        may = 2 * (key >> _INDEX_BITS) + 1 >= threshold.astype(jnp.int32)
+        may = wanted & (2 * (key >> _INDEX_BITS) + 1 >= threshold.astype(jnp.int32))
         of = lambda line: (at[line], base if base.ndim == 0 else base[line], threshold[line])
-        exists, before, after, first, last = in_blocks(may, lambda line, _: measured(line, *of(line)))
+        height, before, after, first, last = in_blocks(may, lambda line, _: measured(line, *of(line)))
         # A maximum that is too low where it lies may hide a lower one in a darker place; of it the filters' reach goes.
         first, last = jnp.where(may, first, at - _MARGIN - 1), jnp.where(may, last, at + _MARGIN + 1)
         place = _LAST - (keys & _LAST)
         left = jnp.where((place <= first[None]) | (place >= last[None]), keys, 0)
         centre = LATTICE_PX * (at.astype(jnp.float32) + 0.5 * (after - before)) + (0.5 if pitch == 1 else 0.0)
-        return left, (exists, centre, LATTICE_PX * (before + after))
+        return left, (height, centre, LATTICE_PX * (before + after))
 
-    _, (exists, at, extent) = lax.scan(rank, _keys(lattice, ground, some), length=CANDIDATES)
-    return peaks_at(exists, at, extent, pitch)
-
-
-def peaks_at(exists: Array, at: Array, extent: Array, pitch: int) -> Peaks:
-    """Candidates of so wide an extent at such places, with the windows of their fits."""
+    _, (height, at, extent) = lax.scan(rank, _keys(lattice, ground, some), length=CANDIDATES)
     bins = jnp.where((extent > _BIN_EXTENT_PX) & (pitch == 1), 2, 1).astype(jnp.int32)
     first = jnp.floor(at / pitch + 0.5).astype(jnp.int32) - bins * (WINDOW // 2)
-    return Peaks(exists, at, extent, first, bins)
+    exists = height >= 1.0
+    if together is not None:
+        exists = exists & (~together | (jnp.arange(CANDIDATES)[:, None] == 0))
+    return Peaks(exists, at, extent, first, bins, height)
 
 
 _INDEX_BITS = 13
@@ -157,6 +177,20 @@ def _lattice(frame: UInt8[Array, "lines samples"], pitch: int) -> Int16[Array, "
     pairs = frame.shape[1] // 2
     words = lax.bitcast_convert_type(frame[:, : 2 * pairs].reshape(-1, pairs, 2), jnp.uint16)
     return ((words & 255) + (words >> 8)).astype(jnp.int16)
+
+
+def _together(
+    lattice: Int16[Array, "lines points"], inside: Bool[Array, "lines points"], level: bool
+) -> Int16[Array, "lines points"]:
+    """Half the sum of `TOGETHER` lines, none of them beyond the image; with `level` that of the line is subtracted."""
+    side, lines = TOGETHER // 2, lattice.shape[0]
+    wide = jnp.pad(lattice, ((side, side), (0, 0)))
+    total = functools.reduce(operator.add, [wide[k : k + lines] for k in range(TOGETHER)]) >> 1
+    if not level:
+        return total
+    count = jnp.maximum(jnp.sum(inside, 1, dtype=jnp.int32), 1)
+    mean = jnp.sum(jnp.where(inside, total, jnp.int16(0)), 1, dtype=jnp.int32) // count
+    return jnp.where(inside, total - mean.astype(jnp.int16)[:, None], jnp.int16(0))
 
 
 def _brighter(room: Int16[Array, "lines points"], ratio: Float[Array, ""]) -> Int16[Array, "lines points"]:

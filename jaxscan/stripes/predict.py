@@ -302,7 +302,7 @@ def _middle(runs: Sequence[Run], last: np.ndarray) -> np.ndarray:
 def warped(
     planes: Float[np.ndarray, "planes lines samples"], where: Float[np.ndarray, "a b 2"], pitch: int
 ) -> Float[np.ndarray, "planes lines samples"]:
-    """Planes read at other places, bilinear; beyond them their border.
+    """Planes read at other places, bilinear; NaN beyond them.
 
     Args:
         planes: float32.
@@ -318,7 +318,7 @@ def warped(
     # Imported here, because few sweeps need it.
     import scipy.ndimage  # type: ignore[import-untyped]
 
-    read = lambda plane: scipy.ndimage.map_coordinates(plane, at, np.float32, order=1, mode="nearest")
+    read = lambda plane: scipy.ndimage.map_coordinates(plane, at, np.float32, order=1, cval=np.nan)
     return np.stack([read(plane) for plane in planes])
 
 

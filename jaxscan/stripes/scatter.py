@@ -84,6 +84,11 @@ class ScatterLaw(NamedTuple):
     variance: float = 1.0
     """Where rows are alike, their variance over the promised one, less that of `Correlation.mosaic_px` [1]."""
 
+    def with_mosaic(self, sigma_px: float) -> "ScatterLaw":
+        """With an error more by the place on a mosaic [px]."""
+        together = float(np.hypot(self.correlation.mosaic_px, sigma_px))
+        return self._replace(correlation=self.correlation._replace(mosaic_px=together))
+
     def of(self, rows: ProfileRows) -> Scatter:
         """The scatter of some profiles."""
         sigma, amplitude = np.asarray(rows.sigma), np.asarray(rows.amplitude, np.float32)
@@ -126,9 +131,7 @@ def scatter_law(rows: ProfileRows, line_step: int = 1) -> ScatterLaw:
     count, lines = rows.u.shape
     if count == 0 or lines == 0:
         return _NOTHING
-    # Evenly spread: records of one kind may come in turn with others.
-    chosen = np.unique(np.linspace(0, count - 1, min(-(-_MOST // lines), count)).round().astype(int))
-    some = ProfileRows(*(np.asarray(field)[chosen] for field in rows))
+    some = evenly_chosen(rows)
     with ThreadPoolExecutor(1) as pool:
         windows = pool.submit(lambda: [_windows(some, line_step, width) for width in _WIDTHS])
         doubted = pool.submit(_doubted, some, line_step)
@@ -138,6 +141,13 @@ def scatter_law(rows: ProfileRows, line_step: int = 1) -> ScatterLaw:
         learned = _learned(windows.result(), least**2, mosaic=line_step > 1)
         usual, common = doubted.result()
     return ScatterLaw(spreads, usual or _ALIKE, common, *learned)
+
+
+def evenly_chosen(rows: ProfileRows) -> ProfileRows:
+    """Some profiles of them, evenly spread: records of one kind may come in turn with others."""
+    count, lines = rows.u.shape
+    chosen = np.unique(np.linspace(0, count - 1, min(-(-_MOST // max(lines, 1)), count)).round().astype(int))
+    return ProfileRows(*(np.asarray(field)[chosen] for field in rows))
 
 
 class _Windows(NamedTuple):
@@ -168,7 +178,7 @@ def _windows(rows: ProfileRows, line_step: int, width: int) -> list[_Windows]:
         centres.append(u - u.mean(1, keepdims=True))
         sigmas.append(np.maximum(np.sqrt(np.mean(sigma[whole].astype(np.float64) ** 2, 1)), 1e-9))
     u, sigma = np.concatenate(centres), np.concatenate(sigmas)
-    slope, left = np.abs(u @ x) / (x @ x), _left(width)
+    slope, left = np.abs(u @ x) / (x @ x), cubic_rest(width)
     found = []
     for low, high in itertools.pairwise(_SLOPES):
         mine = np.flatnonzero((slope >= low) & (slope < high))
@@ -273,7 +283,7 @@ def _least_squares(design: np.ndarray, values: np.ndarray) -> np.ndarray:
 
 
 @functools.cache
-def _left(width: int) -> np.ndarray:
+def cubic_rest(width: int) -> np.ndarray:
     """The projection onto what a cubic leaves."""
     basis, _ = np.linalg.qr(np.vander(np.linspace(-1.0, 1.0, width), 4))
     return np.eye(width) - basis @ basis.T
@@ -282,7 +292,7 @@ def _left(width: int) -> np.ndarray:
 @functools.cache
 def _seen(width: int) -> np.ndarray:
     """Mean products about a cubic of rows so far apart, where errors are alike just so far apart."""
-    left, apart = _left(width), np.abs(np.subtract.outer(np.arange(width), np.arange(width)))
+    left, apart = cubic_rest(width), np.abs(np.subtract.outer(np.arange(width), np.arange(width)))
     about = [left @ (apart == k) @ left for k in range(width)]
     return np.array([[np.trace(one, k) for k in range(width // 2 - 1)] for one in about])
 

@@ -236,7 +236,9 @@ def _rows(search: Search, stripes: FrameStripes, setup: ExtractionSetup) -> Rows
     u, sigma, amplitude, width, grey, chi2 = (np.asarray(getattr(stripes, name), np.float64)[lines] for name in kept)
     valid = np.asarray(stripes.valid)[lines]
     dark = 2.0 * noise_of(search).variance(grey)
-    fitted = valid & (np.asarray(stripes.saturated)[lines] == 0) & (chi2 > 0)
+    # Faint ones that chance made fainter still were not found: their scatter tells less than there is.
+    clear = np.asarray(stripes.snr)[lines] >= np.asarray(search.limits.least_snr)
+    fitted = valid & clear & (np.asarray(stripes.saturated)[lines] == 0) & (chi2 > 0)
     return Rows(u, sigma, amplitude, width, dark, valid, fitted)
 
 

@@ -113,7 +113,7 @@ class StripeSettings:
     max_width_px: float = 13.0
     """Largest accepted standard deviation of a stripe [px]."""
     max_sigma_px: float = 1.0
-    """Largest accepted standard deviation of a centre [px]."""
+    """Largest accepted standard deviation of a centre; twice that on lines that others around tell of [px]."""
     max_chi2: float = 4.0
     """Largest accepted chi-squared per degree of freedom, but for `max_misfit` [1]."""
     max_misfit: float = 0.5

@@ -40,19 +40,21 @@ def find_circles(image: np.ndarray, shown: np.ndarray, board: Circles) -> FoundC
     Args:
         image: uint8 or float32 [rows, columns], in which ink is weighed.
         shown: The same in bytes, in which circles are found (`to_bytes`).
-        board: The grid, which must be wholly visible.
+        board: The grid, which must be wholly visible; its circles are dark on white paper, or white on black.
 
     Returns:
         The centres, or None where the grid is not found. The x axis of a symmetric grid points right in the image.
 
     Source: Heikkilä, Geometric camera calibration using circular control points (2000), for the difference.
     """
-    q = _find(shown, board)
+    level, q = image.astype(np.float64), _find(shown, board)
+    if q is None:
+        # White circles are dark ones in the negative.
+        level, q = level.max() - level, _find(255 - shown, board)
     if q is None:
         return None
     places, radius = board.places(), board.diameter / 2
     seen = _Map.fit(places, q)
-    level = image.astype(np.float64)
     sigma, valid = np.ones(len(q)), np.ones(len(q), bool)
     centre = q.copy()
     for k, place in enumerate(places):

@@ -91,7 +91,10 @@ def decode_image(
         raise CaptureError(f"{name}: found {image.dtype} pixels, expected 8 bit; {cure}.")
     channels = 1 if image.ndim == 2 else image.shape[2]
     if channels not in (1, 3):
-        raise CaptureError(f"{name}: found {channels} channels, expected {3 if rank == 3 else 1}; remove the alpha.")
+        expected = {2: "1", 3: "3"}.get(rank or 0, "1 or 3")
+        raise CaptureError(
+            f"{name}: found {channels} channels, expected {expected}; an alpha channel with transparent pixels must go."
+        )
     if rank == 2 and channels == 3:
         raise CaptureError(f"{name}: found a colour image, expected a grey one (or set pixel_format to rgb8).")
     if rank == 3 and channels == 1:
@@ -182,6 +185,9 @@ def _by_opencv(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
         raise ValueError(f"{problem.err or 'OpenCV gave no reason'}"[:200]) from problem
     if image is None:
         raise ValueError("OpenCV cannot read it")
+    if image.ndim == 3 and image.shape[2] == 4 and np.issubdtype(image.dtype, np.integer):
+        # An alpha channel that is opaque everywhere says nothing.
+        image = image[..., :3] if image[..., 3].min() == np.iinfo(image.dtype).max else image
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 and image.shape[2] == 3 else image
 
 

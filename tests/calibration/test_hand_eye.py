@@ -81,6 +81,22 @@ def test_poses_of_other_pictures_are_refused(seen):
         calibrate_observations(replace(observed, poses=np.roll(observed.poses, 1, axis=0)), settings=QUICK)
 
 
+def test_poses_of_a_hand_that_carries_the_board_are_told(seen):
+    observed, _ = seen
+    with pytest.raises(CalibrationError, match=r"if the hand carried the board .* give the inverse of every pose"):
+        calibrate_observations(replace(observed, poses=np.linalg.inv(observed.poses)), settings=QUICK)
+
+
+@pytest.mark.parametrize("size", [0.5, 1.04])
+def test_a_board_of_another_size_is_told_by_the_poses(seen, size):
+    observed, _ = seen
+    poses = np.array(observed.poses)
+    poses[:, :3, 3] *= size
+    with pytest.raises(CalibrationError, match=f"a board that is {size:g}[0-9]* times as large") as told:
+        calibrate_observations(replace(observed, poses=poses), settings=QUICK)
+    assert abs(float(str(told.value).split(" times as large")[0].split()[-1]) / size - 1) < 0.01
+
+
 def test_a_hand_that_turns_about_one_axis_alone_is_refused(world):
     turns = [world.rodrigues(np.array([0.0, 0.0, angle])) for angle in (0.0, 0.2, 0.5, 0.9)]
     poses = np.array([pose(turn, [0.0, 0.0, 0.8]) for turn in turns])

@@ -12,7 +12,7 @@ from jaxscan.calibration.advice import warn
 from jaxscan.calibration.cross_validation import deal_halves
 from jaxscan.calibration.other_lens import ray_difference
 from jaxscan.calibration.result import chance
-from jaxscan.calibration.structure import moving_twist
+from jaxscan.calibration.score import moving_twist
 from jaxscan.geometry import Pinhole, exponential, invert
 from jaxscan.report.words import headline
 

@@ -122,7 +122,7 @@ def test_debug_shows_the_error_itself(failing, problem):
 
 
 def test_json_that_cannot_be_written_is_an_error(monkeypatch, run, tmp_path):
-    emit_json(None, "convert", {})
+    emit_json({})
     monkeypatch.setattr(sys, "stdout", None)
     import jaxscan
 

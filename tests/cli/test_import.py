@@ -128,6 +128,8 @@ def test_what_is_not_recognised_is_listed_with_a_command(refused, tmp_path):
     save(tmp_path / "in", [f"a{k}.png" for k in range(5)] + [f"b{k}.png" for k in range(3)])
     message = refused("import", tmp_path / "in", "-o", tmp_path / "room")
     assert "'a*.png' (5: a0.png ... a4.png); 'b*.png' (3: b0.png ... b2.png)" in message
+    stage = refused("import", tmp_path / "in", "-o", tmp_path / "room", "--carries", "linear", "--step-mm", "2")
+    assert "--on 'a*.png' --off 'b*.png' --carries linear --step-mm 1" in stage
     assert f"jaxscan import {tmp_path / 'in'} --on 'a*.png' --off 'b*.png' --step-deg 0.9" in message
 
 

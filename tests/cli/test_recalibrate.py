@@ -146,8 +146,6 @@ class TestBadInput:
         ("words", "found"),
         [
             ("-c old.json", "No sweep was given"),
-            ("room -c old.json --features --no-features", "--features: found with --no-features"),
-            ("room -c old.json --closed --no-closed", "--closed: found with --no-closed"),
             ("room -c old.json --min-range 3 --max-range 2", "--max-range"),
             ("room -c old.json --cloud room.doc", 'cannot write ".doc"'),
             ("room -c old.json --known known.toml", "known.toml: "),

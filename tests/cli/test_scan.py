@@ -382,7 +382,7 @@ def test_a_command_places_the_board(run, paper, board_rig, tmp_path):
     command = f"sh -c 'echo $1 >> {log}' sh"
     ran = run("scan", board_rig.path, "-o", tmp_path / "boards", "--boards", "--place-command", command)
     assert ran.code == 0, ran.err
-    assert log.read_text().split() == ["0", "1", "2", "3"]
+    assert log.read_text().split() == ["0", "1", "2", "3", "none"]
     assert len(open_capture(tmp_path / "boards")) == 6
 
 

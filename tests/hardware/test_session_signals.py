@@ -9,7 +9,7 @@ from pathlib import Path
 
 import pytest
 from scanrig.recording import AHEAD
-from scanrig.session.job import Interrupts
+from scanrig.session.interrupts import Interrupts
 
 from jaxscan.files.capture import open_capture, verify_capture
 

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from jaxscan.measurement import measure_distance, measure_room
+from jaxscan.measurement.planes import fitted_plane
 from jaxscan.measurement.samples import samples_of
 from jaxscan.stripes import smooth_profiles
 
@@ -103,3 +104,30 @@ def test_covariance_of_sums():
     # The order of the points does not matter.
     turned = samples.take(np.array([3, 1, 0, 2]))
     np.testing.assert_allclose(turned.covariance_of(np.eye(4), normal)[1, 2], 0.5e-6, rtol=1e-3)
+
+
+def floor(by_line, noise, seed, profiles=40, lines=160):
+    """A floor around a turning rig: each line sees it at one distance in all profiles."""
+    rng = np.random.default_rng(seed)
+    phi, far = np.linspace(0, 2 * np.pi, profiles, endpoint=False)[:, None], np.linspace(1.5, 3.0, lines)
+    down, shared = np.full((profiles, lines), -1.2), np.repeat(rng.normal(size=lines // 4), 4)
+    p = np.stack([far * np.cos(phi), far * np.sin(phi), down], -1)
+    range_m = np.linalg.norm(p, axis=-1, keepdims=True)
+    error = by_line * shared[None] + noise * rng.normal(size=down.shape)
+    return SimpleNamespace(
+        xyz=p * (1 + error[..., None] / range_m),
+        sigma_random=np.full(down.shape, np.hypot(by_line, noise)),
+        valid=np.ones(down.shape, bool),
+        laser=np.zeros(profiles, int),
+        angle=phi[:, 0],
+    )
+
+
+@pytest.mark.parametrize("by_line", [0.0, 2e-3])
+def test_sigma_of_a_floor_whose_lines_err_alike_in_all_profiles(by_line):
+    """Error by the place in the image is no smaller on average, as a floor has its stripe at one place."""
+    z = []
+    for seed in range(60):
+        plane = fitted_plane(samples_of(floor(by_line, 2e-3, seed)), np.array([0.0, 0.0, 1.0]))
+        z.append((abs(plane.centre[2]) - 1.2) / np.sqrt(plane.covariance[0, 0]))
+    assert 0.8 < rms(z) < 1.3

@@ -16,7 +16,7 @@ from jaxscan.project import begun_row, failed_row, steps
 from jaxscan.project import work as doing
 from jaxscan.project.work import WORK
 from tests.museum import make_museum
-from tests.opened import catalogue_of, edit, products, states, work
+from tests.opened import catalogue_of, edit, states, work
 
 
 @pytest.fixture(scope="module")
@@ -139,19 +139,6 @@ def test_a_catalogue_that_cannot_be_written_is_one_line(museum):
     with pytest.raises(ConfigError, match="cannot be written") as caught:
         catalogue.write([row])
     assert "\n" not in str(caught.value)
-
-
-@pytest.mark.more
-def test_a_large_capture_in_pieces_gives_the_same_cloud(museum):
-    edit(museum, '["cloud", "measures", "mesh"]', '["cloud"]')
-    edit(museum, "every = 2", "every = 1")
-    work(museum)
-    whole = products(museum)
-    edit(museum, 'name = "museum"', 'name = "museum"\nsplit_records = 32')
-    pieces = {f"stripes/room-{number}/{part}" for number in (1, 2) for part in ("0-30", "30-60")}
-    assert set(states(museum)) == {"cloud/room-1", "cloud/room-2"} | pieces
-    assert {row.key for row in work(museum)} == set(states(museum))
-    assert {name: made for name, made in products(museum).items() if name.startswith("clouds")} == whole
 
 
 @pytest.mark.parametrize(

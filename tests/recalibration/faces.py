@@ -4,6 +4,7 @@ from dataclasses import dataclass, field
 
 import jax
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable
 from jaxscan.recalibration import SweepStripes
@@ -19,6 +20,21 @@ def rig(covariance: np.ndarray | None = None) -> Scanner:
     table = Turntable.from_axis([0.0, -1.0, 0.0], [0.0, 0.0, -0.21])
     scanner = Scanner.from_parts(camera, sheet, table)
     return Scanner(camera, scanner.lasers, scanner.turntable, covariance, scanner.laser_names, scanner.up)
+
+
+def wide_rig() -> Scanner:
+    """The demo's rig, whose camera sees far to its sides, without distortion."""
+    camera = Pinhole(fx=410.0, fy=410.5, cx=322.4, cy=254.1, distortion=np.zeros(5), width=WIDTH, height=HEIGHT)
+    sheet = LaserSheet.from_plane(np.array([1 / 0.45, 0.0, 1 / 3.2]), 1.0)
+    return Scanner.from_parts(camera, sheet, Turntable.from_axis([0.012, -0.99989, 0.008], [0.12, 0.0, -0.06]))
+
+
+def pose(place: tuple[float, float, float], yaw_deg: float, tilt_deg: tuple[float, float] = (0.0, 0.0)) -> np.ndarray:
+    """T_room_scanner of a rig at a place of the room [m], turned by yaw, then tilted about its x and y."""
+    T = np.eye(4)
+    T[:3, :3] = Rotation.from_euler("ZXY", [yaw_deg, *tilt_deg], degrees=True).as_matrix()
+    T[:3, 3] = place
+    return T
 
 
 @dataclass(frozen=True)
@@ -87,9 +103,18 @@ def poor(seed: int, better: float = 1.0) -> tuple[Scanner, Scanner]:
 X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
 
 
-def box(x0: float = -2.0, x1: float = 2.2, y0: float = -2.1, y1: float = 2.4) -> list:
+def solid(low: tuple[float, float, float], high: tuple[float, float, float]) -> list:
+    """The six faces of a box in a room, between two corners."""
+    sides = []
+    for axis, along in enumerate((X, Y, Z)):
+        others = [(one, low[k], high[k]) for k, one in enumerate((X, Y, Z)) if k != axis]
+        sides += [Face(along, at, tuple(others)) for at in (low[axis], high[axis])]
+    return sides
+
+
+def box(x0=-2.0, x1=2.2, y0=-2.1, y1=2.4, z0=-0.75, z1=0.8) -> list:
     """Four walls, floor and ceiling around the axis."""
-    return [Face(X, x0), Face(X, x1), Face(Y, y0), Face(Y, y1), Face(Z, -0.75), Face(Z, 0.8)]
+    return [Face(X, x0), Face(X, x1), Face(Y, y0), Face(Y, y1), Face(Z, z0), Face(Z, z1)]
 
 
 @dataclass(frozen=True)
@@ -109,25 +134,28 @@ def take(
     seed: int = 0,
     pose: np.ndarray | None = None,
     station: int = 0,
+    stood: np.ndarray | None = None,
 ) -> Taken:
-    """The stripes of one sweep; `pose` is T_room_scanner."""
+    """The stripes of one sweep; `pose` is T_room_scanner, `stood` where the table stood if not where the journal has it
+    [rad]."""
     rng = np.random.default_rng(seed)
     pose = np.eye(4) if pose is None else pose
     camera, table = scanner.camera, scanner.turntable
-    f, cx, cy = float(camera.fx), float(camera.cx), float(camera.cy)
+    width, height = camera.width, camera.height
+    fx, fy, cx, cy = (float(value) for value in (camera.fx, camera.fy, camera.cx, camera.cy))
     n, d = np.asarray(scanner.lasers.normal)[0], float(np.asarray(scanner.lasers.distance)[0])
     # Points of one image row on the sheet: a straight line start + x * ray.
-    y = (np.arange(HEIGHT) - cy) / f
+    y = (np.arange(height) - cy) / fy
     below = n[1] * y + n[2]
     # The plane through the camera and the row meets the sheet in the direction (below, ...) with n . ray = 0.
-    ray = np.stack([-below / n[0], y, np.ones(HEIGHT)], -1)
-    start = np.stack([np.full(HEIGHT, d / n[0]), np.zeros(HEIGHT), np.zeros(HEIGHT)], -1)
+    ray = np.stack([-below / n[0], y, np.ones(height)], -1)
+    start = np.array([d / n[0], 0.0, 0.0]) * np.ones((height, 1))
     angle = turn * np.arange(steps) / steps
-    centre, face = np.zeros((steps, HEIGHT)), np.full((steps, HEIGHT), -1)
+    centre, face = np.zeros((steps, height)), np.full((steps, height), -1)
     frame = np.asarray(scanner.scanner_from_camera())
     a, point = np.asarray(table.direction), np.asarray(table.point)
     cross = np.array([[0, -a[2], a[1]], [a[2], 0, -a[0]], [-a[1], a[0], 0]])
-    for k, phi in enumerate(angle):
+    for k, phi in enumerate(angle if stood is None else stood):
         theta = float(table.gain) * phi
         turned = np.eye(3) + np.sin(theta) * cross + (1 - np.cos(theta)) * cross @ cross
         to_room = pose[:3, :3] @ frame[:3, :3]
@@ -139,8 +167,8 @@ def take(
         ranges = np.stack([one.cross(origin, ahead) for one in faces])
         z = ranges.min(0)
         p = start + z[:, None] * ray
-        u = cx + f * p[:, 0] / p[:, 2]
-        seen = np.isfinite(z) & (z < 8.0) & (u > 1) & (u < WIDTH - 2)
+        u = cx + fx * p[:, 0] / p[:, 2]
+        seen = np.isfinite(z) & (z < 8.0) & (u > 1) & (u < width - 2)
         centre[k], face[k] = np.where(seen, u, 0.0), np.where(seen, ranges.argmin(0), -1)
     valid = face >= 0
     centre = centre + noise_px * rng.normal(size=centre.shape) * valid

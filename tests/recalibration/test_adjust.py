@@ -7,13 +7,12 @@ from experiments.recalibration.world import Noise, Sweeping, features_of, true_s
 from jaxscan.calibration.propagate import length_sigma, measure_lengths, typical_lengths
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import RecalibrationSettings, RoomObservations, Start
-from jaxscan.recalibration.adjust import adjust, departure, joint
+from jaxscan.recalibration.adjust import adjust, joint
 from jaxscan.recalibration.adjust.prepare import prepare
 from jaxscan.recalibration.segment import observe_surfaces
 from jaxscan.recalibration.triangulate import triangulate_points
 from tests.recalibration import faces
-from tests.recalibration.boxes import pose
-from tests.recalibration.faces import X, Y
+from tests.recalibration.faces import X, Y, pose
 from tests.recalibration.linear_room import with_held
 from tests.recalibration.small_room import SIGMA, config, exact_sweep, observe, stored, truth_scanner, with_covariance
 
@@ -29,7 +28,7 @@ def trial(seed):
     prior = stored(truth, random)
     noise = 0.1 * random.standard_normal(int((room[1].surface >= 0).sum()))
     adjusted = adjust(prior, Start(prior, ONE), observe(prior, noise, sweep_truth=room))
-    return departure(truth, prior), departure(truth, adjusted.scanner), adjusted
+    return truth.departure(prior), truth.departure(adjusted.scanner), adjusted
 
 
 @pytest.mark.more
@@ -62,7 +61,7 @@ def test_outliers_do_not_pull():
     assert not adjusted.point_kept[wrong].any()
     assert adjusted.point_kept[~wrong].mean() > 0.99
     free = np.diag(adjusted.scanner.covariance) > 0
-    after, own = departure(truth, adjusted.scanner)[free], adjusted.scanner.covariance[np.ix_(free, free)]
+    after, own = truth.departure(adjusted.scanner)[free], adjusted.scanner.covariance[np.ix_(free, free)]
     assert after @ np.linalg.solve(own, after) < 46.8
 
 
@@ -169,7 +168,7 @@ def test_features_know_that_the_table_stops_beside_its_angles():
         prior, observations, tracks = seen_with_features(seed)
         adjusted = adjust(prior, Start(prior, ONE), observations._replace(tracks=tracks))
         assert adjusted.converged and 0.95 < adjusted.cost / adjusted.freedom < 1.05
-        after, free = departure(truth_scanner(), adjusted.scanner), np.diag(adjusted.scanner.covariance) > 0
+        after, free = truth_scanner().departure(adjusted.scanner), np.diag(adjusted.scanner.covariance) > 0
         chi2.append(after[free] @ np.linalg.solve(adjusted.scanner.covariance[np.ix_(free, free)], after[free]))
         stops.append(adjusted.stop_sigma)
     # By five times 60 images: to 5 %, and by what noise adds to that.

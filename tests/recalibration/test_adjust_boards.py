@@ -9,7 +9,7 @@ from experiments.recalibration.trial import observations_of
 from jaxscan.calibration import CalibrationSettings, calibrate_observations
 from jaxscan.errors import CalibrationError
 from jaxscan.recalibration import Start
-from jaxscan.recalibration.adjust import adjust, departure
+from jaxscan.recalibration.adjust import adjust
 from jaxscan.recalibration.adjust.boards import prepare_boards
 from tests.recalibration.small_room import SIGMA, config, exact_sweep, observe, stored, truth_scanner
 
@@ -35,7 +35,7 @@ def test_boards_show_the_size_that_walls_leave_open():
         # Walls and a stored calibration take nothing away; the noise that each learns differs by some per cent.
         assert sigma(both)[k] < 1.1 * np.sqrt(alone.covariance[k, k])
     free = sigma(both) > 0
-    after, own = departure(truth, both.scanner)[free], both.scanner.covariance[np.ix_(free, free)]
+    after, own = truth.departure(both.scanner)[free], both.scanner.covariance[np.ix_(free, free)]
     # 21 numbers: beyond 46.8 once in a thousand.
     assert after @ np.linalg.solve(own, after) < 46.8
 

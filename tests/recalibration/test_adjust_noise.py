@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from jaxscan.recalibration.adjust.noise import shared_by_profiles
-from jaxscan.recalibration.adjust.wall_shape import learn_stops
+from jaxscan.recalibration.adjust.errors import learn_stops, shared_by_profiles
 
 
 def grid_of(profiles=200, lines=10, apart=9):

@@ -14,7 +14,7 @@ from jaxscan.recalibration.judge import (
     refuse_result,
     unobserved,
 )
-from jaxscan.recalibration.judge.gain import compare, scale_slopes, scales_of
+from jaxscan.recalibration.judge.drift import compare, scale_slopes, scales_of
 from jaxscan.recalibration.result import LengthGain
 
 from .linear_room import adjusted_of, linear_room, with_held

@@ -5,6 +5,7 @@ import pytest
 
 from jaxscan.recalibration.judge.drift import (
     Explanation,
+    compare,
     departure_of,
     describe_move,
     explain,
@@ -12,8 +13,9 @@ from jaxscan.recalibration.judge.drift import (
     loosening,
     moved_parameters,
     parts_of,
+    scale_slopes,
+    with_prior,
 )
-from jaxscan.recalibration.judge.gain import compare, scale_slopes, with_prior
 
 from .linear_room import linear_room
 

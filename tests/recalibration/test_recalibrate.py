@@ -19,7 +19,6 @@ from jaxscan.recalibration import (
     Tracks,
     recalibrate,
 )
-from jaxscan.recalibration.adjust import departure
 from jaxscan.recalibration.lengths import _between_centres, check_lengths, found_lengths, lost_lengths, place_lengths
 
 from .linear_room import GOOD
@@ -66,8 +65,8 @@ def test_a_poor_calibration_becomes_better(poor):
     calibration, result, _ = poor
     assert result.updated and not result.refused and result.hold_out is not None and result.hold_out.better
     assert not result.drift.drifted and result.drift.p > 1e-3
-    error = departure(truth_scanner(), result.scanner)
-    before = departure(truth_scanner(), calibration.scanner)
+    error = truth_scanner().departure(result.scanner)
+    before = truth_scanner().departure(calibration.scanner)
     sigma = np.sqrt(np.diag(np.asarray(result.scanner.covariance)))
     free = sigma > 0
     # 21 normal numbers, partly alike: none beyond 4 sigmas, which happens once in a thousand times.
@@ -109,7 +108,7 @@ def test_a_laser_that_turned_is_found_and_put_right(drifted):
     from jaxscan.simulation.sweep import true_scanner
 
     truth = true_scanner(turn_laser(config(), 0.05, 3))
-    error, names = departure(truth, drifted.scanner), truth.parameter_names()
+    error, names = truth.departure(drifted.scanner), truth.parameter_names()
     places = [names.index(f"laser.red.{name}") for name in ("n1", "n2", "d")]
     sigma = np.sqrt(np.diag(np.asarray(drifted.scanner.covariance)))[places]
     # Three numbers within 3.3 sigmas: 997 times in a thousand.

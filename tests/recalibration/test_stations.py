@@ -10,24 +10,38 @@ from jaxscan.api.stages import Stage, Stages
 from jaxscan.calibration import Calibration
 from jaxscan.errors import CalibrationError, GivenError
 from jaxscan.files.capture import Capture
+from jaxscan.geometry import invert, poses, transform
 from jaxscan.recalibration import RecalibrationSettings, SweepStripes, Tracks, register
 from jaxscan.recalibration.stations import place_stations
-from jaxscan.simulation import Motion, distort, make_rig, true_scanner
-
-from .boxes import EMPTY, FURNISHED, L_SHAPED, Room, demo, pose, sweep_of
+from tests.recalibration.faces import box, pose, solid, take, wide_rig
 
 
 pytestmark = pytest.mark.more
 
 
-SCANNER = true_scanner(demo())
+SCANNER = wide_rig()
+EMPTY = box(0.0, 4.2, 0.0, 5.4, 0.0, 2.5)
+FURNITURE = (
+    ((0.0, 1.0, 0.0), (0.85, 3.0, 0.75)),  # sofa
+    ((3.8, 3.2, 0.0), (4.2, 4.4, 2.0)),  # shelf
+    ((1.6, 4.8, 0.0), (2.6, 5.4, 0.8)),  # chest
+    ((3.0, 0.0, 0.0), (3.9, 0.6, 1.9)),  # cupboard
+    ((0.0, 4.4, 1.2), (0.03, 5.2, 1.8)),  # picture
+)
+FURNISHED = [*EMPTY, *(face for corners in FURNITURE for face in solid(*corners))]
+L_SHAPED = [*EMPTY, *solid((2.6, 3.4, 0.0), (4.2, 5.4, 2.5)), *solid((0.0, 0.6, 0.0), (0.5, 1.8, 0.9))]
 PLACES = (pose((2.0, 2.6, 1.2), 50.0), pose((1.4, 3.9, 1.15), 200.0, (1.5, -1.0)), pose((3.2, 1.6, 1.3), -70.0))
 # First values: a few centimetres and a degree are asked, and walls that both see give far better.
 NEAR_M, NEAR_RAD = 0.01, np.radians(0.2)
 
 
-def sweeps_of(room: Room, poses) -> list[SweepStripes]:
-    return [sweep_of(room, T, seed=k, station=k) for k, T in enumerate(poses)]
+def sweep_of(room: list, T: np.ndarray, station: int = 0, seed: int | None = None) -> SweepStripes:
+    seed = station if seed is None else seed
+    return take(room, SCANNER, steps=120, noise_px=0.1, seed=seed, pose=T, station=station).sweep
+
+
+def sweeps_of(room: list, places) -> list[SweepStripes]:
+    return [sweep_of(room, T, k) for k, T in enumerate(places)]
 
 
 def calibration() -> Calibration:
@@ -45,22 +59,22 @@ def assert_near(found, truth):
 
 @pytest.mark.parametrize("room", [FURNISHED, L_SHAPED], ids=["furnished", "L"])
 def test_two_stations_are_placed_by_what_both_see(room):
-    poses = PLACES[0], PLACES[2]
-    found = place_stations(sweeps_of(room, poses), SCANNER)
+    first, second = PLACES[0], PLACES[2]
+    found = place_stations(sweeps_of(room, (first, second)), SCANNER)
     assert found.shape == (2, 4, 4) and np.array_equal(found[0], np.eye(4))
-    assert_near(found[1], np.linalg.inv(poses[0]) @ poses[1])
+    assert_near(found[1], np.linalg.inv(first) @ second)
 
 
 def test_registered_stations_are_where_they_stood_within_their_sigmas():
     """Poses to a tenth of a millimetre, by walls alone; of the solves of a recalibration one or two are left."""
-    poses, stages = PLACES[:3:2], []
+    (first, second), stages = PLACES[:3:2], []
     found = register(
-        sweeps_of(FURNISHED, poses),
+        sweeps_of(FURNISHED, (first, second)),
         calibration(),
         RecalibrationSettings(stations=True),
         progress=lambda done, total: stages.append((done, total)),
     )
-    truth = np.linalg.inv(poses[0]) @ poses[1]
+    truth = np.linalg.inv(first) @ second
     assert found.converged and stages == [(k, 4) for k in range(1, 5)]
     away = np.linalg.inv(truth) @ found.stations[1]
     step = np.array([*away[:3, 3], away[2, 1], away[0, 2], away[1, 0]])
@@ -89,7 +103,7 @@ def empty():
 
 def test_an_empty_box_is_ambiguous(empty):
     with pytest.raises(
-        CalibrationError, match=r"^sweep0, sweep1: found two places .* 180 degrees apart; leave targets"
+        CalibrationError, match=r"^sweep 0, sweep 1: found two places .* 180 degrees apart; leave targets"
     ):
         place_stations(empty[0], SCANNER)
 
@@ -103,15 +117,13 @@ def test_a_first_pose_is_settled_on_the_walls(empty):
 def marks(empty):
     """Marks on two walls, seen as pixels from both stations; one was moved between the sweeps."""
     world = np.array([[4.2, 2.0, 1.0], [4.2, 3.4, 1.5], [2.0, 5.4, 0.9], [1.2, 5.4, 1.6], [0.0, 3.0, 1.2]])
-    rig, camera = make_rig(demo()), demo().camera
-    rows = []
+    camera, rows = SCANNER.camera, []
     for station, T in enumerate(PLACES[:2]):
         marks = world + (np.arange(5) == 4)[:, None] * station * np.array([0, 0.6, 0])
         for record, phi in enumerate(empty[0][station].angle):
-            at = (Motion(T[:3, :3], T[:3, 3]) @ rig.pose(float(phi))).inverse().apply(marks)
-            x, y = at[:, 0] / at[:, 2], at[:, 1] / at[:, 2]
-            seen = (at[:, 2] > 0.1) & (np.abs(x) < 0.6) & (np.abs(y) < 0.5)
-            q = np.stack(distort(camera, x, y), -1)
+            x, y, z = transform(invert(poses(SCANNER.rig, phi)), transform(invert(T), marks)).T
+            q = np.stack([camera.fx * x / z + camera.cx, camera.fy * y / z + camera.cy], -1)
+            seen = (z > 0.1) & (np.abs(x) < 0.6 * z) & (np.abs(y) < 0.5 * z)
             rows += [(q[k], station, record, k) for k in np.flatnonzero(seen)]
     q, sweep, record, track = (np.array(column) for column in zip(*rows, strict=True))
     names = tuple(f"marker {k}" for k in range(5))
@@ -163,14 +175,14 @@ def test_targets_are_looked_for_where_walls_leave_a_station_open(empty, marks, m
 
 
 def test_stations_of_two_rooms_are_refused():
-    sweeps = [sweep_of(FURNISHED, PLACES[0]), sweep_of(Room((3.0, 7.4, 2.9)), pose((1.5, 3.0, 1.2), 10.0), station=1)]
-    with pytest.raises(CalibrationError, match=r"^sweep0, sweep1: found no place .* take a sweep between the two"):
+    sweeps = [sweep_of(FURNISHED, PLACES[0]), sweep_of(box(0, 3.0, 0, 7.4, 0, 2.9), pose((1.5, 3.0, 1.2), 10.0), 1)]
+    with pytest.raises(CalibrationError, match=r"^sweep 0, sweep 1: found no place .* take a sweep between the two"):
         place_stations(sweeps, SCANNER)
 
 
 def test_a_place_without_walls_is_refused(empty):
     blind = empty[0][0]._replace(valid=np.zeros_like(empty[0][0].valid))
-    with pytest.raises(CalibrationError, match=r"^sweep0: found 0 flat patches, too few"):
+    with pytest.raises(CalibrationError, match=r"^sweep 0: found 0 flat patches, too few"):
         place_stations([blind, empty[0][1]], SCANNER)
 
 
@@ -181,5 +193,5 @@ def test_numbers_of_stations_have_no_gap(empty):
 
 @pytest.mark.parametrize("off", [pose((0.8, 0, 0), 0), pose((0, 0.8, 0), 0), pose((5, 0, 0), 0), pose((0, 0, 0), 90)])
 def test_a_first_pose_that_is_wrong_is_refused(empty, off):
-    with pytest.raises(GivenError, match=r"^sweep1: its given place \(\[\[station\]\] of --known\) is contradicted"):
+    with pytest.raises(GivenError, match=r"^sweep 1: its given place \(\[\[station\]\] of --known\) is contradicted"):
         place_stations(empty[0], SCANNER, start={1: empty[1] @ off})

@@ -5,7 +5,7 @@ import numpy as np
 import pytest
 
 from jaxscan.reconstruction.along import smooth_sweep
-from jaxscan.stripes import ProfileRows, extract_stripes, scatter_law
+from jaxscan.stripes import ProfileRows, extract_stripes, mosaic_wave, scatter_law
 from jaxscan.stripes.correlation import INDEPENDENT, REACH, SLOPES, Correlation, tables_of
 
 from .test_along_surfaces import rms, stripes_of
@@ -58,6 +58,37 @@ def test_an_error_by_the_place_on_a_mosaic():
     found = smooth_sweep(stripes_of(FLAT + 0.25 * drawn[:, :-2] + 0.5 * drawn[:, 1:-1] + 0.25 * drawn[:, 2:], 0.1))
     assert 0.85 < ratio(found, FLAT, UPRIGHT) < 1.2
     assert 0.7 < ratio(found, FLAT, ~UPRIGHT) < 1.2
+
+
+def test_the_error_of_a_mosaic_is_taken_back():
+    """Steep stripes show it, and upright ones have it too; rows without one are left as they are."""
+    noise = 0.02 * alike((), FLAT.shape)
+    place = FLAT + 0.2 * np.sin(np.pi * FLAT)
+    ones = np.ones(FLAT.shape, np.float32)
+    rows = lambda u: ProfileRows(u.astype(np.float32), 0.02 * ones, ones > 0, 50 * ones)
+    assert mosaic_wave(rows(FLAT + noise), ()) is None
+    wave = mosaic_wave(rows(place + noise), ())
+    assert rms(wave.error - (place - FLAT)) < 0.02
+    found = smooth_sweep(stripes_of(place + noise, 0.02))
+    assert rms(found.u - FLAT) < 0.03
+
+
+def test_brighter_neighbours_pull_a_slanted_stripe():
+    """The lens mixes lines: light of a blurred stripe comes from brighter lines too."""
+    fine, blur, peak = 4, 1.0, 120.0
+    line, across = np.mgrid[: LINES * fine, : WIDTH * fine] / fine - 0.5 + 0.5 / fine
+    slope, change = 0.3, 0.02
+    true = 20.0 + slope * np.arange(LINES)
+    light = np.exp(change * (line - LINES / 2)) * np.exp(-0.5 * ((across - 20.0 - slope * line) / 0.4) ** 2)
+    light = cv2.GaussianBlur(light, (0, 0), blur * fine).reshape(LINES, fine, WIDTH, fine).mean((1, 3))
+    light *= peak / light.max()
+    rng = np.random.default_rng(1)
+    seen = lambda part: np.clip(np.rint(40 + part * light + rng.normal(size=(32, *light.shape))), 0, 255)
+    stripes = extract_stripes(*(seen(part).astype(np.uint8) for part in (1.0, 0.0)))
+    bright = (light.max(1) > 0.3 * peak) & (np.arange(LINES) > 10) & (np.arange(LINES) < LINES - 10)
+    error = lambda u: float(np.mean((np.asarray(u) - true)[:, bright & np.asarray(stripes.valid).all(0)]))
+    assert abs(error(stripes.u)) > 0.004
+    assert abs(error(smooth_sweep(stripes).u)) < 0.25 * abs(error(stripes.u))
 
 
 def frames(kind, width, peak_dn):

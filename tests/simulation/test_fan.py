@@ -1,44 +1,28 @@
 """The laser's light across its sheet and along its fan: lobes, ripples, and a width that changes."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 
-from jaxscan.simulation import (
-    CameraSpec,
-    LaserSpec,
-    LightSpec,
-    RoomSpec,
-    SimulationConfig,
-    TurntableSpec,
-    expect_record,
-    make_rig,
-)
+from jaxscan.simulation import expect_record, make_rig
 from jaxscan.simulation.light.lit import along
-from jaxscan.simulation.scene import Material, Mesh, build_scene
+from tests.simulation import plain
+from tests.simulation.plain import WIDTH, F, scene_of, wall
 
 
-F, CX, CY = 300.0, 79.625, 90.3
-WIDTH, HEIGHT = 160, 180
+HEIGHT, CY = 180, 90.3
 Z, BASE, CROSSING, WAIST = 2.0, 0.3, 2.0, 0.003
 
 
 def config(**laser):
     """A sheet of 3 mm whose fan spans 60 degrees."""
-    base = {"baseline_m": BASE, "crossing_m": CROSSING, "waist_mm": 1000 * WAIST, "divergence_mrad": 0.0}
-    return SimulationConfig(
-        camera=CameraSpec(width=WIDTH, height=HEIGHT, fx=F, fy=F, cx=CX, cy=CY),
-        laser=LaserSpec(**{"fan_deg": 60.0, **base, **laser}),
-        turntable=TurntableSpec(direction=(0, -1, 0), point_m=(0, 0, 0)),
-        room=RoomSpec(furniture=False),
-        light=LightSpec(shadows=False),
-    )
+    return plain.config(HEIGHT, {"fan_deg": 60.0, "waist_mm": 1000 * WAIST, "divergence_mrad": 0.0, **laser})
 
 
 def before_a_wall(**laser):
     """A record of a wall that faces the camera at 2 m."""
-    mesh = Mesh()
-    mesh.quad(np.array([Z, 9.0, -9.0]), np.array([0, -18.0, 0]), np.array([0, 0, 18.0]), Material(((0.7, 0.7, 0.7),)))
-    return expect_record(make_rig(config(**laser)), build_scene(mesh, np.array([0, 0, 2.0]), 2.0, shadows=False), 0.0)
+    return expect_record(make_rig(config(**laser)), scene_of(partial(wall, z=Z)), 0.0)
 
 
 def moments(image):

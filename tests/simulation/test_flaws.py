@@ -1,19 +1,17 @@
 """Dark and soft corners, pixels that differ, curves, JPEG, and prints that are blurred and shine."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 from scipy.special import erf
 
 from jaxscan.simulation import (
     BoardsSpec,
-    CameraSpec,
-    LaserSpec,
     LightSpec,
-    RoomSpec,
     SeenBoard,
     SensorSpec,
     SimulationConfig,
-    TurntableSpec,
     develop,
     expect_record,
     expose,
@@ -23,10 +21,11 @@ from jaxscan.simulation import (
 )
 from jaxscan.simulation.rig import Motion, project, rodrigues
 from jaxscan.simulation.scene import Material, Mesh, build_scene
+from tests.simulation import plain
+from tests.simulation.plain import CX, WIDTH, F, scene_of, wall
 
 
-F, CX, CY = 300.0, 79.625, 90.3
-WIDTH, HEIGHT = 160, 180
+HEIGHT, CY = 180, 90.3
 
 
 def rng(seed: int = 0) -> np.random.Generator:
@@ -34,22 +33,12 @@ def rng(seed: int = 0) -> np.random.Generator:
 
 
 def config(**changes) -> SimulationConfig:
-    base = {
-        "camera": CameraSpec(width=WIDTH, height=HEIGHT, fx=F, fy=F, cx=CX, cy=CY),
-        "laser": LaserSpec(baseline_m=0.3, crossing_m=2.0, waist_mm=2.0, focus_m=2.0),
-        "turntable": TurntableSpec(direction=(0, -1, 0), point_m=(0, 0, 0)),
-        "room": RoomSpec(furniture=False),
-        "light": LightSpec(shadows=False),
-    }
-    return SimulationConfig(**{**base, **changes})
+    return plain.config(HEIGHT, {"waist_mm": 2.0}, **changes)
 
 
 def before_a_wall(c: SimulationConfig, z: float = 2.0, board: SeenBoard | None = None):
-    """A record of a grey wall that faces the camera: camera z = scanner x, camera x = -y, camera y = -z."""
-    mesh = Mesh()
-    mesh.quad(np.array([z, 9.0, -9.0]), np.array([0, -18.0, 0]), np.array([0, 0, 18.0]), Material(((0.7, 0.7, 0.7),)))
-    scene = build_scene(mesh, np.array([0.0, 0.0, 2.0]), 2.0, shadows=False)
-    return expect_record(make_rig(c), scene, 0.0, board=board)
+    """A record of a grey wall that faces the camera."""
+    return expect_record(make_rig(c), scene_of(partial(wall, z=z)), 0.0, board=board)
 
 
 def test_corners_are_darker_by_the_square_of_their_distance():

@@ -3,39 +3,21 @@
 import numpy as np
 import pytest
 
-from jaxscan.simulation import (
-    CameraSpec,
-    LaserSpec,
-    LightSpec,
-    MirrorSpec,
-    RoomSpec,
-    SimulationConfig,
-    TurntableSpec,
-    expect_record,
-    make_rig,
-    make_scene,
-)
+from jaxscan.simulation import LightSpec, MirrorSpec, RoomSpec, SimulationConfig, expect_record, make_rig, make_scene
 from jaxscan.simulation.light import LitScene, line_pieces, returned_field
 from jaxscan.simulation.light.bounce import Pieces
-from jaxscan.simulation.scene import Material, Mesh, build_scene
+from jaxscan.simulation.scene import Material
+from tests.simulation import plain
+from tests.simulation.plain import CX, GREY, WIDTH, F
 
 
-F, CX, CY, CROSSING = 300.0, 79.625, 60.3, 2.0
-WIDTH, HEIGHT = 160, 120
-GREY, GLASS = Material(((0.7, 0.7, 0.7),)), Material(((0.0, 0.0, 0.0),), mirror=0.9)
+HEIGHT, CY, CROSSING = 120, 60.3, 2.0
+GLASS = Material(((0.0, 0.0, 0.0),), mirror=0.9)
 
 
 def rig_of(bounce=0.0, fan=16.0, **laser):
-    base = {"baseline_m": 0.3, "crossing_m": CROSSING, "waist_mm": 3.0, "focus_m": 2.0, "fan_deg": fan}
-    return make_rig(
-        SimulationConfig(
-            camera=CameraSpec(width=WIDTH, height=HEIGHT, fx=F, fy=F, cx=CX, cy=CY),
-            laser=LaserSpec(**{**base, **laser}),
-            turntable=TurntableSpec(direction=(0, -1, 0), point_m=(0, 0, 0)),
-            room=RoomSpec(furniture=False),
-            light=LightSpec(shadows=False, bounce=bounce),
-        )
-    )
+    light = LightSpec(shadows=False, bounce=bounce)
+    return make_rig(plain.config(HEIGHT, {"waist_mm": 3.0, "fan_deg": fan, **laser}, light=light))
 
 
 def scanner(*camera):
@@ -44,15 +26,11 @@ def scanner(*camera):
     return np.array([z, -x, -y], float)
 
 
-def quad(mesh, corner, one, other, material=GREY):
-    mesh.quad(scanner(*corner), scanner(*one), scanner(*other), material)
-
-
 def scene_of(*quads):
-    mesh = Mesh()
-    for parts in quads:
-        quad(mesh, *parts)
-    return build_scene(mesh, np.array([0.0, 0.0, 2.0]), 2.0, shadows=False)
+    def add(mesh, corner, one, other, material=GREY):
+        mesh.quad(scanner(*corner), scanner(*one), scanner(*other), material)
+
+    return plain.scene_of(*(lambda mesh, parts=parts: add(mesh, *parts) for parts in quads))
 
 
 WALL = (-9, -9, 2), (18, 0, 0), (0, 18, 0)

@@ -5,55 +5,18 @@ from functools import partial
 import numpy as np
 import pytest
 
-from jaxscan.simulation import (
-    CameraSpec,
-    LaserSpec,
-    LightSpec,
-    RoomSpec,
-    SensorSpec,
-    SimulationConfig,
-    TurntableSpec,
-    expect_record,
-    make_rig,
-)
+from jaxscan.simulation import CameraSpec, LaserSpec, SensorSpec, expect_record, make_rig
 from jaxscan.simulation.camera import psf_weights
-from jaxscan.simulation.scene import Material, Mesh, build_scene, stripes
+from jaxscan.simulation.scene import Material, stripes
+from tests.simulation import plain
+from tests.simulation.plain import CX, F, scene_of, wall
 
 
-GREY = Material(((0.7, 0.7, 0.7),))
-# The principal point lies on the border of two samples (eighths of a pixel), for edges put there.
-F, CX, CY = 300.0, 79.625, 30.3
+CY = 30.3
 
 
 def rig_of(**changes):
-    """A camera that looks along the scanner's x: camera z = x, camera x = -y, camera y = -z."""
-    laser = changes.pop("laser", LaserSpec(baseline_m=0.3, crossing_m=2.0, waist_mm=1.5, focus_m=2.0))
-    camera = changes.pop("camera", CameraSpec(width=160, height=60, fx=F, fy=F, cx=CX, cy=CY))
-    return make_rig(
-        SimulationConfig(
-            camera=camera,
-            laser=laser,
-            turntable=TurntableSpec(direction=(0, -1, 0), point_m=(0, 0, 0)),
-            room=RoomSpec(),
-            light=LightSpec(shadows=False),
-            **changes,
-        )
-    )
-
-
-def wall(
-    mesh: Mesh, z: float, material: Material = GREY, *, left: float = -9.0, right: float = 9.0, slope: float = 0.0
-):
-    """A wall across the view, at depth z + slope * x of the camera's frame, from `left` to `right`."""
-    origin = np.array([z + slope * left, -left, -9.0])
-    mesh.quad(origin, np.array([slope * (right - left), left - right, 0.0]), np.array([0.0, 0.0, 18.0]), material)
-
-
-def scene_of(*walls):
-    mesh = Mesh()
-    for add in walls:
-        add(mesh)
-    return build_scene(mesh, np.array([0.0, 0.0, 2.0]), 2.0, shadows=False)
+    return make_rig(plain.config(60, {"waist_mm": 1.5}, **changes))
 
 
 def column(z: float) -> float:

@@ -98,9 +98,16 @@ def test_grey_and_colour_are_not_mixed_up():
         decode(encode_png(GREY), rank=3)
 
 
+@pytest.mark.parametrize("kind", [np.uint8, np.uint16])
+def test_an_opaque_alpha_is_left_out(kind):
+    pixels = np.dstack([COLOUR[..., ::-1].astype(kind), np.full(COLOUR.shape[:2], np.iinfo(kind).max)])
+    opaque = cv2.imencode(".png", pixels.astype(kind))[1].tobytes()
+    np.testing.assert_array_equal(decode_image(opaque, name="x", rank=3, size=None, deep=True), COLOUR)
+
+
 def test_alpha_and_16_bit_are_refused():
     alpha = cv2.imencode(".png", np.zeros((13, 17, 4), np.uint8))[1].tobytes()
-    with pytest.raises(CaptureError, match="found 4 channels, expected 3"):
+    with pytest.raises(CaptureError, match="found 4 channels, expected 3; an alpha"):
         decode(alpha, rank=3)
     deep = cv2.imencode(".png", np.zeros((13, 17), np.uint16))[1].tobytes()
     with pytest.raises(CaptureError, match="found uint16 pixels, expected 8 bit"):

@@ -55,6 +55,12 @@ def views(board):
     ]
 
 
+def test_white_circles_on_black_are_found_like_black_ones_on_white():
+    image = picture(CIRCLES, texture(CIRCLES), PER_SQUARE[CIRCLES], poses(CIRCLES)[1], 1)
+    found, (white, _) = find_corners(255 - image, CIRCLES), views(CIRCLES)[1]
+    assert np.abs(found.q - white.q).max() < 0.02
+
+
 @pytest.mark.more
 @BOARDS
 def test_corners_are_where_they_are(board):

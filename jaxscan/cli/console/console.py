@@ -5,8 +5,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from jaxscan.cli.options import ConfigPath, OptionalCalibrationPath, check_paths, need_pages
-from jaxscan.cli.terminal import JsonTarget, emit_json
 from jaxscan.cli.terminal import console as console_of
+from jaxscan.cli.terminal import emit_json
 
 
 if TYPE_CHECKING:
@@ -28,7 +28,6 @@ def console(
     place_command: str | None = None,
     host: str = "127.0.0.1",
     web_port: int = PORT,
-    json: JsonTarget = None,
 ) -> None:
     """Scan from a web page: `jaxscan console scan.toml`.
 
@@ -41,11 +40,10 @@ def console(
         calibration: Calibration of the rig; with it the cloud grows during the scan. Without it the newest good one of
             this rig in the folder or beside it.
         port: Serial port instead of the port in the configuration; "auto" takes the only controller there is.
-        place_command: Command that places the board; the number of the pose is appended to it.
+        place_command: Command that places the board; the number of the pose is appended to it, and `none` at the end.
         host: Name or number of this machine at which the page is served. Everybody needs the token of the address that
             is printed.
         web_port: TCP port of the page; 0 for any that is free.
-        json: Write the address, without its token, as JSON too.
     """
     need_pages("The console", "console")
     # Imported here, so that other verbs and `--help` load neither hardware drivers nor JAX.
@@ -59,13 +57,13 @@ def console(
     from jaxscan.cli.console.works import Works
     from jaxscan.web import Server, open_address
 
-    check_paths({"CONFIG": config, "--calibration": calibration}, json=json)
+    check_paths({"CONFIG": config, "--calibration": calibration})
     rig = load_rig(config)
     if calibration is not None:
         import jaxscan
 
         jaxscan.load_scanner(calibration)
-    out = console_of(json)
+    out = console_of()
     folder = Captures(captures, lambda found: _fits(found, rig))
     calibration = calibration or folder.newest_calibration()
     address = open_address(host, web_port, option="--web-port")
@@ -99,7 +97,7 @@ def console(
         for line in address.invitation():
             out.print(line)
         out.print("Ctrl-C ends the console; the laser goes off.")
-        emit_json(json, "console", {"url": address.url(), "captures": str(captures)})
+        emit_json({"url": address.url(), "captures": str(captures)})
         desk.attend()
 
 

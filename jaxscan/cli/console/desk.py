@@ -116,15 +116,16 @@ class Desk:
             case "light":
                 self._change(lit=order.on)
             case "auto":
-                self._show_wish()
+                self.show_wish()
 
     def _change(self, **fields: Any) -> None:
         # "Auto" exposes in the main thread while a page turns the table.
         with self._lock:
             self._wish = self.wish()._replace(**fields)
-        self._show_wish()
+        self.show_wish()
 
-    def _show_wish(self) -> None:
+    def show_wish(self) -> None:
+        """Show on the page what is to be seen next, and whether "auto" goes on."""
         wish = self.wish()
         self.slate.write(wish=wish._asdict() | {"auto": self.auto > 0})
 
@@ -144,7 +145,7 @@ class Desk:
             # A look begins at home, with the laser.
             self._wish, self.auto = self.wish()._replace(angle_deg=0.0, lit=True), 0
             self._orders.put(order)
-        self._show_wish()
+        self.show_wish()
 
     # For the main thread
 

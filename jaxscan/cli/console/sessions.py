@@ -85,6 +85,8 @@ class Sessions:
         else:
             better = exposure_ms * float(np.clip(factor, 1 / _AUTO_STEP, _AUTO_STEP))
             desk.expose(float(f"{np.clip(better, _SHORTEST_MS, _LONGEST_MS):.3g}"), gain_db)
+            return
+        desk.show_wish()
 
     def sweep(self, running: Running) -> str:
         """Take a sweep; with a calibration the cloud grows meanwhile, and is written at the end."""
@@ -163,6 +165,8 @@ class Sessions:
         finally:
             desk.answer = None
             self._slate.write(placing=None)
+        if command is not None:
+            command.take_away()
         if result.status == "complete":
             self._works.carry_out(Order("calibrate", order.name))
         return str(result.message)

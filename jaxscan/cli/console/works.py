@@ -38,6 +38,8 @@ class Work(NamedTuple):
     what: str
     words: Sequence[str]
     then: Then = lambda well, result: None
+    so_far: bool = False
+    """Whether it is of a capture that goes on; it gives way to the next one."""
 
 
 class Works:
@@ -55,7 +57,8 @@ class Works:
         self._waiting: queue.SimpleQueue[Work | None] = queue.SimpleQueue()
         self._shown: list[dict[str, Any]] = []
         self._process: subprocess.Popen[str] | None = None
-        self._ended, self._busy = False, 0
+        self._carried: Work | None = None
+        self._ended, self._busy, self._given_way = False, 0, False
         self._thread = threading.Thread(target=self._attend, name="jaxscan-works", daemon=True)
 
     def __enter__(self) -> "Works":
@@ -115,7 +118,7 @@ class Works:
 
     def _call_verb(self, verb: str, name: str, words: list[str], then: Then | None = None, *, of: str = "") -> None:
         what = f"{verb} {name}" + (f", {of}" if of else "")
-        self.begin(Work(what, [verb, *words], then or (lambda well, result: self.refresh())))
+        self.begin(Work(what, [verb, *words], then or (lambda well, result: self.refresh()), so_far=bool(of)))
 
     def _needed(self) -> Path:
         if self.calibration is None:
@@ -203,6 +206,9 @@ class Works:
         # Results of works that ended before are dropped.
         self._slate.write(ended="", problem="")
         self._waiting.put(work)
+        if self._carried is not None and self._carried.so_far and self._process is not None:
+            self._given_way = True
+            self._process.terminate()
 
     def _attend(self) -> None:
         while (work := self._waiting.get()) is not None and not self._ended:
@@ -212,7 +218,11 @@ class Works:
             self._slate.say(f"{work.what} begins.")
             # An error in one work must not stop those after it.
             with outlived(self._slate, work.what):
+                self._carried, self._given_way = work, False
                 self._carry_out(work, shown)
+            self._carried = None
+            if self._given_way:
+                self._shown.remove(shown)
             if shown["running"]:
                 shown |= {"running": False, "well": False}
             self._busy -= 1
@@ -223,6 +233,9 @@ class Works:
             answer = Path(folder) / "answer.json"
             code = self._call([*work.words, "--json", str(answer)], shown["lines"])
             result = json.loads(read_bounded(answer, _MOST_BYTES, error=OutputError)) if answer.exists() else {}
+        if self._given_way:
+            self._slate.say(f"{work.what}: gave way to the next one.")
+            return
         shown |= {"running": False, "well": code == 0}
         if code == 0:
             self._slate.say(f"{work.what}: done.")

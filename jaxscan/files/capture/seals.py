@@ -88,8 +88,8 @@ def sealing(texts: CaptureTexts, folder: Path) -> Sealing:
         note = f"{name}: not sealed: {after} records after the last seal; the scan was not ended after them."
     elif last < 0 and digests:
         note = (
-            f"{name}: not sealed, although its records have digests: the scan was not ended, or the end was removed; "
-            "a change of an angle or of the header would not be noticed."
+            f"{name}: not sealed, although its records have digests: the scan goes on, was not ended, or the end "
+            "was removed; a change of an angle or of the header would not be noticed."
         )
     return Sealing(tuple(broken), note, last >= 0 and not after)
 

@@ -44,8 +44,12 @@ def _of_quaternion(numbers: np.ndarray) -> np.ndarray:
 
 def _of_matrix(numbers: np.ndarray) -> np.ndarray:
     matrix = numbers.reshape(-1, 4)
-    ends = len(matrix) == 3 or np.abs(matrix[3] - [0.0, 0.0, 0.0, 1.0]).max() < _ROUNDED
-    return matrix[:3] if ends else np.zeros((3, 4))
+    if len(matrix) == 3:
+        return matrix
+    ends = lambda rows: np.abs(rows[3] - [0.0, 0.0, 0.0, 1.0]).max() < _ROUNDED
+    # Some programs write column after column: the zeros tell, but for a pose without a translation.
+    rows = matrix if ends(matrix) else matrix.T
+    return rows[:3] if ends(rows) else np.zeros((3, 4))
 
 
 def _of_vector(numbers: np.ndarray) -> np.ndarray:
@@ -63,7 +67,9 @@ _LAYOUTS: dict[str, _Layout] = {
     # The time before them says nothing here.
     "tum": _Layout((7, 8), "[time] x y z qx qy qz qw", lambda n: _of_quaternion(n[-7:][[0, 1, 2, 6, 3, 4, 5]])),
     "wxyz": _Layout((7,), "x y z qw qx qy qz", _of_quaternion),
-    "matrix": _Layout((12, 16), "the rows of a 3 x 4 or 4 x 4 matrix, one after another", _of_matrix),
+    "matrix": _Layout(
+        (12, 16), "the rows of a 3 x 4 or 4 x 4 matrix, one after another (or the columns of a 4 x 4 one)", _of_matrix
+    ),
     "rotvec": _Layout((6,), "x y z and a rotation vector in radians", _of_vector),
     "rpy": _Layout((6,), "x y z and degrees about the fixed axes x, then y, then z", _of_angles),
     "rpy-rad": _Layout((6,), "x y z and radians about the fixed axes x, then y, then z", lambda n: _of_angles(n, 1.0)),

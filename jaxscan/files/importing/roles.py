@@ -319,12 +319,16 @@ def _not_recognised(folder: Path, names: Sequence[str], request: ImportRequest) 
     listed = "; ".join(f"'{one.pattern}' ({one.files}: {one.first} ... {one.last})" for one in groups[:_GROUPS])
     more = f"; and {len(groups) - _GROUPS} more" if len(groups) > _GROUPS else ""
     pattern = shlex.quote(groups[0].pattern)
+    moves = "" if request.carries is None else f" --carries {request.carries}"
+    moves += {"linear": " --step-mm 1", "poses": " --poses poses.txt", "nothing": ""}.get(
+        request.carries or "", " --step-deg 0.9"
+    )
     if request.board is not None:
         command = f"--boards {pattern}"
     elif len(groups) > 1:
-        command = f"--on {pattern} --off {shlex.quote(groups[1].pattern)} --step-deg 0.9"
+        command = f"--on {pattern} --off {shlex.quote(groups[1].pattern)}{moves}"
     else:
-        command = f"--on {pattern} --step-deg 0.9, or --boards {pattern} --board 'chessboard 11x6 13mm'"
+        command = f"--on {pattern}{moves}, or --boards {pattern} --board 'chessboard 11x6 13mm'"
     return (
         f"{folder}: the names do not say which images have the laser on. Found {listed}{more}. Expected, for example: "
         f"jaxscan import {shlex.quote(str(folder))} {command}"

@@ -284,7 +284,7 @@ def describe_images(plan: ImportPlan, settings: ImageSettings) -> ImportedHeader
         found = "grey" if kind.rank == 2 else "colour"
         raise OptionError(f"--pixel-format: found {camera['pixel_format']}, but {first} is a {found} image.")
     colour = settings.laser_colour
-    if colour == "auto" and not any(record.off for record in plan.records):
+    if colour == "auto" and not any(record.on and record.off for record in plan.records):
         # A colour is learned from pairs.
         colour = "red"
     look = {"colour": colour, "stripe_axis": settings.stripe_axis}

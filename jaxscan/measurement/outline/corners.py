@@ -14,10 +14,9 @@ from typing import NamedTuple
 import numpy as np
 
 from jaxscan.geometry import Scanner
-from jaxscan.measurement.checked import is_known
 from jaxscan.measurement.outline.level import Frame
 from jaxscan.measurement.planes import Plane
-from jaxscan.measurement.samples import Places
+from jaxscan.measurement.samples import Places, is_known
 from jaxscan.measurement.systematic import Effects, effects_of
 from jaxscan.measurement.walls import Wall, wall_weights
 
@@ -65,7 +64,7 @@ class Corner(NamedTuple):
     surfaces: tuple[Surface, Surface, Surface]
 
     def effects(self, gradient: np.ndarray) -> list[tuple[Surface, np.ndarray]]:
-        """Of each surface the weights [3] of (offset, slopes) in a number that has this gradient [3] by the corner."""
+        """Weights [3] of each surface's (offset, slopes) in a number that has this gradient [3] by the corner."""
         shares = np.linalg.solve(np.stack([surface.plane.normal for surface in self.surfaces]).T, gradient)
         return [
             (surface, share * surface.plane.height_weights(self.at))

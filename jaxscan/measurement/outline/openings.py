@@ -1,8 +1,7 @@
 """What is in the walls: openings that rays go through or that send nothing back, and panels that stand out.
 
-Every ray meets the wall's plane somewhere. Drawn there, the cloud's grid says of each place of the wall what the ray
-found: the wall, something behind it, something just before it, or nothing; where furniture stood before the wall nobody
-knows.
+Every ray meets the wall's plane somewhere. Drawn there, the cloud's grid shows what the ray found at each place of the
+wall: the wall, something behind it, something just before it, or nothing. Furniture hides what is behind it.
 """
 
 from dataclasses import dataclass, replace
@@ -136,10 +135,10 @@ class _Face(NamedTuple):
     state: np.ndarray
     cell: np.ndarray
     place: np.ndarray
-    """Of the cells: along the wall and above the floor [cells, 2], m."""
+    """Place of each cell along the wall and above the floor [cells, 2], m."""
     depth: np.ndarray
     spacing: np.ndarray
-    """Of neighbouring rays [2], m."""
+    """Distance of neighbouring rays along both [2], m."""
 
     def span(self, axis: int) -> float:
         """Length or height of the wall [m]."""

@@ -1,4 +1,4 @@
-"""The outline of a room of any shape, from its walls."""
+"""The outline of a room of any shape, from its walls; and clear distances from wall to opposite wall."""
 
 from dataclasses import dataclass, field
 from typing import NamedTuple
@@ -7,16 +7,22 @@ import numpy as np
 
 from jaxscan.errors import MeasurementError
 from jaxscan.geometry import Scanner
-from jaxscan.measurement.checked import checked_samples
-from jaxscan.measurement.outline.cells import NEAR_M, Edge, Line, find_inside, wall_share
+from jaxscan.measurement.outline.cells import (
+    NEAR_M,
+    Edge,
+    Line,
+    closed_loops,
+    distance_to,
+    find_inside,
+    is_within,
+    wall_share,
+)
 from jaxscan.measurement.outline.corners import Corner, Errors, Estimate, Surface, area_of, corner_of, length_between
 from jaxscan.measurement.outline.level import Frame, find_level
-from jaxscan.measurement.outline.loops import closed_loops, distance_to, is_within
 from jaxscan.measurement.planes import Plane, facing
-from jaxscan.measurement.ransac import find_planes
 from jaxscan.measurement.room import because, is_upright
-from jaxscan.measurement.samples import Cloud, Samples, about_the_scanner, places_of, spread_out
-from jaxscan.measurement.walls import BEYOND, BEYOND_M, NEIGHBOURHOOD_M, SHARE, Wall, refine_wall
+from jaxscan.measurement.samples import Cloud, Samples, about_the_scanner, checked_samples, places_of, spread_out
+from jaxscan.measurement.walls import BEYOND, BEYOND_M, NEIGHBOURHOOD_M, SHARE, Wall, find_planes, refine_wall
 
 
 ONE_WALL_M = 0.12
@@ -117,7 +123,7 @@ class RoomOutline:
         return area_of(self.corners(), -self.floor.plane.normal, self.errors)
 
     def wall_area(self, loop: int, side: int) -> Estimate | None:
-        """Of one side from floor to ceiling, openings included [m^2]; None where it is not bounded."""
+        """Area of one side from floor to ceiling, openings included [m^2]; None where it is not bounded."""
         length = self.lengths()[loop][side]
         if self.ceiling is None or length is None:
             return None
@@ -354,3 +360,57 @@ def _points_by_angle(samples: Samples) -> np.ndarray:
     places = np.stack([samples.station[first], samples.angle[first]], 1)
     _, same = np.unique(places, axis=0, return_inverse=True)
     return np.bincount(same.ravel(), counts)
+
+
+OPPOSITE = np.cos(np.radians(5.0))
+MOST = 2
+"""Distances that are given."""
+
+
+def clear_distances(room: RoomOutline, height: float) -> list[tuple[np.ndarray, np.ndarray, Estimate]]:
+    """The distances of the opposite walls with most between them, at a height above the floor [m].
+
+    Gives, for each direction, both ends [3], m, a third of the way along what both walls share, and the distance.
+    """
+    level = room.floor.raised(height)
+    sides = [
+        (side.surface, corners[i].at, corners[(i + 1) % len(corners)].at)
+        for loop, corners in zip(room.loops, room.corners(height), strict=True)
+        for i, side in enumerate(loop)
+        if side.seen
+    ]
+    found: list[tuple[float, np.ndarray, Corner, Corner]] = []
+    for i, (first, start, end) in enumerate(sides):
+        along = (end - start) / np.linalg.norm(end - start)
+        for second, other_start, other_end in sides[i + 1 :]:
+            shared = (
+                sorted((0.0, float(np.linalg.norm(end - start)))),
+                sorted(float(along @ (other - start)) for other in (other_start, other_end)),
+            )
+            low, high = max(shared[0][0], shared[1][0]), min(shared[0][1], shared[1][1])
+            if -first.plane.normal @ second.plane.normal < OPPOSITE or high - low < 0.1:
+                continue
+            # A third of the way, so that in drawings one distance does not cross the words of the other.
+            across = Surface.exact(along, float(along @ start) + low + (high - low) / 3.0)
+            ends = [corner_of(surface, across, level) for surface in (first, second)]
+            way = ends[1].at - ends[0].at
+            if way @ first.plane.normal < 0 and not _blocked(ends[0].at, ends[1].at, sides):
+                found.append(((high - low) * float(np.linalg.norm(way)), along, ends[0], ends[1]))
+    chosen: list[tuple[float, np.ndarray, Corner, Corner]] = []
+    for one in sorted(found, key=lambda each: -each[0]):
+        if len(chosen) < MOST and all(abs(float(one[1] @ other[1])) < OPPOSITE for other in chosen):
+            chosen.append(one)
+    return [(start.at, end.at, length_between(start, end, room.errors)) for _, _, start, end in chosen]
+
+
+def _blocked(start: np.ndarray, end: np.ndarray, sides: list[tuple[Surface, np.ndarray, np.ndarray]]) -> bool:
+    """Whether a wall stands between two points on walls."""
+    inner = [start + share * (end - start) for share in (1e-3, 1.0 - 1e-3)]
+    for surface, first, second in sides:
+        plane = surface.plane
+        heights = [float(plane.normal @ p) - plane.distance for p in inner]
+        if heights[0] * heights[1] < 0:
+            at = inner[0] + heights[0] / (heights[0] - heights[1]) * (inner[1] - inner[0])
+            if 0 < (at - first) @ (second - first) < (second - first) @ (second - first):
+                return True
+    return False

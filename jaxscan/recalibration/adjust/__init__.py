@@ -1,4 +1,3 @@
 """The joint adjustment of scanner, stations, surfaces, tracked points and angles."""
 
 from jaxscan.recalibration.adjust.joint import adjust
-from jaxscan.recalibration.adjust.prepare import departure

@@ -60,7 +60,7 @@ def prepare_boards(observations: Observations, scanner: Scanner) -> Prepared:
     stripes = replace(observations.stripes, laser=number[np.asarray(observations.stripes.laser)])
     data = prepare(replace(observations, stripes=stripes, laser_names=scanner.laser_names))
     if not data.fixes_pose.any():
-        raise CalibrationError("The board was found in no view of the captured boards, so they tell nothing.")
+        raise CalibrationError("The board was found in no view of the captured boards, so they carry no information.")
     return data
 
 

@@ -14,7 +14,19 @@ from jaxscan.errors import CalibrationError
 from jaxscan.geometry import Scanner
 from jaxscan.leastsq import Arrow, Cauchy, Covariance, covariance_of, keep_inliers, noise_component, robust_noise
 from jaxscan.recalibration.adjust.boards import BoardEquations, board_equations, prepare_boards, with_boards
-from jaxscan.recalibration.adjust.noise import FIRST_WALL_M, Noise, learn_noise, shared_by_profiles
+from jaxscan.recalibration.adjust.errors import (
+    FIRST_WALL_M,
+    STOPS,
+    Noise,
+    Wall,
+    beside_shape,
+    find_walls,
+    learn_heights,
+    learn_noise,
+    learn_stops,
+    shared_by_profiles,
+    with_shape,
+)
 from jaxscan.recalibration.adjust.prepare import FIRST_STOP, HELD_STOP, Prepared, prepare
 from jaxscan.recalibration.adjust.room import (
     ANGLE_SCALE,
@@ -26,15 +38,6 @@ from jaxscan.recalibration.adjust.room import (
     linearise,
     solve,
     step_of,
-)
-from jaxscan.recalibration.adjust.wall_shape import (
-    STOPS,
-    Wall,
-    beside_shape,
-    find_walls,
-    learn_heights,
-    learn_stops,
-    with_shape,
 )
 from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservations, Surfaces
 from jaxscan.recalibration.result import Adjusted, Start
@@ -153,7 +156,7 @@ class State:
 
     @cached_property
     def covariance(self) -> Covariance:
-        """Of the unknowns, if this is the minimum."""
+        """Covariance of the unknowns, if this is the minimum."""
         return covariance_of(self.shaped[0])
 
     @property
@@ -396,7 +399,7 @@ def _ratios(after: State, before: State) -> tuple[float, ...]:
 
 
 def _board_noise(state: State) -> np.ndarray:
-    """Of corners and of stripes, and how many of these share one error; of no captured boards, nothing."""
+    """Noise of corners and of stripes, and how many stripe points share one error; empty without captured boards."""
     if state.boards is None:
         return np.zeros(0)
     result = state.boards.result

@@ -2,7 +2,6 @@
 
 from typing import NamedTuple
 
-import jax
 import numpy as np
 from jaxtyping import Bool, Float, Int
 
@@ -33,7 +32,7 @@ class Angles(NamedTuple):
     """The angles of all records of all sweeps, one after another.
 
     Each image in which features are seen has an unknown correction, the stop of the table beside its angle: all its
-    sightings share that. Stops of other records are errors that the points of their walls share, see `wall_shape`.
+    sightings share that. Stops of other records are errors that the points of their walls share, see `errors`.
     """
 
     first: Int[np.ndarray, " sweeps"]
@@ -91,7 +90,7 @@ def prepare(prior: Scanner, start: Start, observations: RoomObservations, settin
         lengths=_lengths(observations, len(places.offset)),
     )
     y = Unknowns(
-        inverse @ departure(prior, start.scanner),
+        inverse @ prior.departure(start.scanner),
         np.zeros(6 * (len(room.stations) - 1)),
         np.zeros(angles.unknown),
         np.zeros((len(places.offset) + len(first), 3)),
@@ -248,15 +247,3 @@ def _prior_root(scanner: Scanner) -> tuple[Float[np.ndarray, "params params"], F
         )
     root = square_root((covariance + covariance.T) / 2)
     return root.steps.T, root.inverse.T
-
-
-def departure(before: Scanner, after: Scanner) -> Float[np.ndarray, " params"]:
-    """How far a scanner is from another of the same kind, in the minimal coordinates of `before` [px, rad, m]."""
-    with jax.enable_x64(True):
-        parts = [np.asarray(after.camera.parameters()) - np.asarray(before.camera.parameters())]
-    for index in range(len(before.laser_names)):
-        old, new = before.laser(index), after.laser(index)
-        parts += [np.asarray(old.basis) @ (np.asarray(new.normal) - np.asarray(old.normal))]
-        parts += [np.atleast_1d(new.distance - old.distance), np.asarray(new.bow - old.bow)]
-    parts.append(np.asarray(before.turntable.departure(after.turntable)))
-    return np.concatenate(parts).astype(np.float64)

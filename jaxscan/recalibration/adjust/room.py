@@ -72,7 +72,7 @@ class Room(eqx.Module):
     rig: Rig
     """The stored one, from which the step of the scanner is counted."""
     root: Float[Array, "params params"]
-    """Of its covariance: a step of the scanner is `root` times normal numbers."""
+    """Square root of its covariance: a step of the scanner is `root` times normal numbers."""
     linear_rows: Float[Array, "rows params"]
     """Further knowledge of those numbers, such as from boards: rows of linear equations, each in standard
     deviations."""
@@ -151,7 +151,7 @@ class Rows(NamedTuple):
 
 
 class PointRows(NamedTuple):
-    """Of points on surfaces."""
+    """Residuals of points on surfaces, with the geometry behind them."""
 
     rows: Rows
     reach: Float[Array, " points"]
@@ -345,7 +345,7 @@ def _of_rows(rows: Rows, weight: Array, values: Array, sight: Sight, room: Room,
     local = sums(rows.local[:, :, None] * rows.local[:, None, :])
     matrix, gradient = by_few.T @ by_few, by_few.T @ values
     if angles:
-        # Of observations whose angle has no correction the number is out of range, and they are left out.
+        # Observations whose angle has no correction have a number out of range, and are left out.
         at_angle = lambda value: jnp.zeros((angles, *value.shape[1:]), value.dtype).at[sight.angle].add(value)
         both = at_angle(by_few * rows.angle[:, None])
         matrix = jnp.block([[matrix, both.T], [both, jnp.diag(at_angle(rows.angle**2))]])

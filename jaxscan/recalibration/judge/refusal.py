@@ -4,8 +4,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from jaxscan.recalibration.judge.drift import TABLE_PART
-from jaxscan.recalibration.judge.gain import Compared, scale_slopes
+from jaxscan.recalibration.judge.drift import TABLE_PART, Compared, scale_slopes
 from jaxscan.recalibration.observed import Surfaces
 from jaxscan.recalibration.result import Adjusted, Drift, HoldOut, LengthGain
 

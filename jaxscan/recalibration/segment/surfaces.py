@@ -15,8 +15,7 @@ from jaxscan.geometry import Scanner, transform
 from jaxscan.measurement.planes import facing, weighted_plane
 from jaxscan.recalibration.grid import spread_over
 from jaxscan.recalibration.observed import SurfacePoints, Surfaces, SweepStripes
-from jaxscan.recalibration.segment.cells import cells_of
-from jaxscan.recalibration.segment.regions import Region, flat_regions
+from jaxscan.recalibration.segment.regions import Region, cells_of, flat_regions
 from jaxscan.recalibration.triangulate import triangulate_points
 
 
@@ -193,7 +192,7 @@ def _join(pieces: Sequence[Piece]) -> Int[np.ndarray, " pieces"]:
 
 
 def _same(a: Piece, b: Piece) -> tuple[bool | None, float]:
-    """Whether two pieces are one surface (None: it cannot be said), and a rank: the surest first."""
+    """Whether two pieces are one surface (None: undecided), and a rank: the surest first."""
     away = np.linalg.norm(a.points[:, None] - b.points[None], axis=-1)
     i, j = np.unravel_index(np.argmin(away), away.shape)
     gap = float(away[i, j])

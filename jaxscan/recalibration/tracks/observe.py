@@ -15,7 +15,7 @@ from jaxscan.recalibration.tracks.seen import Cylinder, FeatureEyes, Followed, F
 
 
 _MOST_PIXELS = 6_000_000
-"""Of an unrolled image; those of wider lenses are reduced."""
+"""Largest unrolled image; those of wider lenses are reduced."""
 _STEEPEST = 3.0
 """Tangent of elevation at the borders of an unrolled image, at most: the axis itself has no azimuth."""
 _BORDER = 200
@@ -109,7 +109,7 @@ def _border(width: int, height: int) -> Float[np.ndarray, "n 2"]:
 
 MOST_KEYS = 120
 _SHARE = 0.6
-"""Of an image's field of view that the next one shows too, at least."""
+"""Smallest share of an image's field of view that the next one shows too."""
 _FEWEST_KEYS = 3
 
 

@@ -161,7 +161,7 @@ _PRIOR_FREEDOM = 6.0
 _WORST = 4.0
 """Noise of a track, over the median of its kind, at most."""
 _STEP, _POINT_STEP, _ANGLE_STEP = 1e-3, 1e-5, 1e-6
-"""Of difference quotients: standard deviations, m, rad."""
+"""Steps of difference quotients: in standard deviations, m, rad."""
 _FOR_SCANNER = 4000
 """Sightings from which the errors of scanner and angles are estimated."""
 
@@ -190,7 +190,7 @@ class Consistent(NamedTuple):
     sigma: Float[np.ndarray, " n"]
     """Standard deviation of u and of v as the differences show it [px]."""
     points: Triangulated
-    """Of all tracks, by the kept sightings and the scanner as it was given."""
+    """Points of all tracks, by the kept sightings and the scanner as it was given."""
 
 
 def keep_consistent(scanner: Scanner, sightings: Sightings) -> Consistent:

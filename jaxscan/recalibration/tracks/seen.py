@@ -6,7 +6,7 @@ from typing import Any, NamedTuple, Protocol, runtime_checkable
 import numpy as np
 from jaxtyping import Float, Int
 
-from jaxscan.geometry import AbstractBoard, Carries
+from jaxscan.geometry import AbstractBoard
 from jaxscan.stripes import PixelFormat
 
 
@@ -24,22 +24,12 @@ class ImageSource(Protocol):
     """A captured sweep whose images are read one by one; `files.Capture` is one."""
 
     @property
-    def path(self) -> object:
-        """The capture's name in messages."""
-
-    @property
     def records(self) -> Sequence[SourceRecord]: ...
     @property
     def pixel_format(self) -> PixelFormat: ...
     @property
     def image_size(self) -> tuple[int, int]:
         """Width and height [px]."""
-
-    @property
-    def carries(self) -> Carries | None: ...
-    @property
-    def angles(self) -> np.ndarray:
-        """The table's angle of each record [rad from home]."""
 
     def image(self, reference: Any, /) -> np.ndarray:
         """One image as it is stored, uint8 [rows, columns(, 3)]."""

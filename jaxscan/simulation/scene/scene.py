@@ -244,7 +244,7 @@ def set_table(spec: ObjectSpec, *, empty: bool = False) -> Mesh:
 
 
 class Outline:
-    """Facets and edges of a mesh; found when they are first asked for."""
+    """Facets and edges of a mesh; found when they are first used."""
 
     def __init__(self, mesh: Mesh, normal: np.ndarray) -> None:
         """`normal` is that of every triangle, float64 [triangles, 3]."""
@@ -286,7 +286,7 @@ class Outline:
 # shows one facet: any other that reached into that part would cover the whole of it, in front or behind.
 
 _SAME = 1e6
-"""Planes and corners are told apart to one part of this: a micrometre."""
+"""Planes and corners are distinguished to one part of this: a micrometre."""
 
 
 class Cone(NamedTuple):

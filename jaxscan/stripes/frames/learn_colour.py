@@ -92,7 +92,10 @@ def with_colour(line: LaserLine, on: Array, off: Array | None, pixel_format: Pix
     if pixel_format == "mono8":
         return dataclasses.replace(line, colour="red")
     if off is None:
-        raise ValueError('A laser\'s colour "auto" is learned from pairs; without laser-off frames, give its colour.')
+        raise ValueError(
+            "A colour is learned from pairs; without laser-off frames, give its colour (`colour` under [[laser]] in "
+            "capture.toml, or --laser-colour of `jaxscan import`)."
+        )
     return dataclasses.replace(line, colour=learn_colour(on, off, pixel_format, stripe_axis=line.stripe_axis))
 
 

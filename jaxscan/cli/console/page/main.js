@@ -1,17 +1,15 @@
 // The page: shows what the server says, and passes orders on. It drives nothing by itself.
 import { at, fill, make, ownName, refusal } from "/shared.js";
-import { showLive, showPicture } from "/live.js";
-import { showGuide } from "/guide.js";
+import { showLive, showPicture } from "/picture.js";
+import { showGuide } from "/board.js";
 import { Cloud } from "/cloud.js";
-import { isOld, maker, showCaptures } from "/captures.js";
-import { showHand, takeHand } from "/hand.js";
+import { showCaptures } from "/captures.js";
+import { showCalibration, showVerdict } from "/calibration.js";
+import { showHand, takeHand } from "/exposure.js";
+import { nextStep, resumable } from "/next_step.js";
 
 const PICTURE = 1, CLOUD = 2;
 const WORDS = { nothing: "ready", opening: "opening the rig …", aim: "looking", sweep: "scanning", boards: "capturing the board", placing: "place the board" };
-const WAITS = {
-  calibrate: "The calibration is calculated: wait for its verdict.", recalibrate: "The calibration is bettered: wait for its verdict.",
-  reconstruct: "The cloud is calculated; it can be looked at as soon as that is done.",
-};
 const LASER = { off: "laser off", unknown: "laser not known to be off: switch its supply off" };
 const cloud = new Cloud(at("cloud"), at("no-webgl"), at("points"), at("no-points"));
 let socket = null, state = {}, you = { operates: false, pages: 0 }, again = 0;
@@ -57,41 +55,10 @@ function duration(seconds) {
 
 const size = (bytes) => (bytes >= 1e9 ? `${(bytes / 1e9).toFixed(1)} GB` : `${(bytes / 1e6).toFixed(1)} MB`);
 
-// What to do next: in words, and the one button for it, by its id or as [capture, button].
-function next() {
-  if (!you.operates) return ["", ""];
-  if (state.doing === "placing") return ["", "take"];
-  if (state.doing === "aim") {
-    const { exposure, proof } = state.live ?? {};
-    if (proof || !exposure) return ["", ""];
-    if (exposure.do.startsWith("expose")) return ["Press Auto: it finds the exposure for what is seen now.", "auto"];
-    const well = exposure.do ? `Better: ${exposure.do}. Then` : "The line is good:";
-    return state.calibration || !state.has_board ? [`${well} Scan.`, "sweep"] : [`${well} Calibrate, with the board.`, "boards"];
-  }
-  if (state.doing !== "nothing") return ["", ""];
-  const work = state.works.find((work) => work.running), waits = WAITS[work?.what.split(" ")[0]];
-  if (waits) return [`${waits} ${work.lines.at(-1)?.match(/about .* left$/)?.[0] ?? ""}`, ""];
-  if (resumable()) return [`Resume goes on with ${state.order.name}.`, "resume"];
-  const made = state.captures.find((capture) => capture.cloud);
-  const before = made && isOld(made, state) && maker(made, state), used = inUse();
-  if (before?.sigma_mm < used?.sigma_mm) return [`${used.file} is used now: ${twoDigits(used.sigma_mm)} mm. ${before.file}, with which ${made.name} was made, is good to ${twoDigits(before.sigma_mm)} mm: if the rig is as it was, choose it under Calibration. If not, Scan.`, "sweep"];
-  if (made && isOld(made, state)) return [`Reconstruct ${made.name} again: its cloud was made with another calibration than the one that is used now.`, [made.name, "Reconstruct"]];
-  const better = made && state.calibration && !(state.verdict?.of ?? []).includes(made.name) ? " Recalibrate betters the calibration by it." : "";
-  if (made) return [`${made.name} has its cloud: Look around, under Captures, or Scan again.${better}`, [made.name, "Look around"]];
-  if (!state.calibration && state.verdict?.verdict) return ["This calibration is not used: its verdict below says what to do.", "boards"];
-  if (!state.calibration) return [`First Look, until the line is bright and sharp; then ${state.has_board ? "Calibrate, with the board" : "Scan"}.`, !state.live ? "aim" : state.has_board ? "boards" : "sweep"];
-  const swept = state.captures.find((capture) => capture.kind === "sweep" && capture.complete);
-  if (swept) return [`Reconstruct ${swept.name}, under Captures, makes its cloud.`, [swept.name, "Reconstruct"]];
-  return ["Take the board out of the room; then Scan.", "sweep"];
-}
-
-const resumable = () => Boolean(state.order) && state.order.do !== "aim" && state.done < state.planned && known(state.order.name) && !known(state.order.name).complete;
-const known = (name) => state.captures.find((capture) => capture.name === name);
-
 // A capture is not written over: a name that is taken gives way to the next one, but not under a person's hands.
 function nameAnew(id) {
   const field = at(id), [, stem, number] = field.value.match(/^(.*?)(?:-(\d+))?$/);
-  const taken = (name) => known(name) || (state.doing !== "nothing" && state.order?.name === name);
+  const taken = (name) => state.captures.some((one) => one.name === name) || (state.doing !== "nothing" && state.order?.name === name);
   if (document.activeElement === field || !taken(field.value)) return;
   let next = Number(number ?? 1) + 1;
   while (taken(`${stem}-${next}`)) next++;
@@ -109,18 +76,18 @@ function show() {
   at("take-over").hidden = operates;
   say("problem", state.problem);
   say("ended", state.ended);
-  const [step, goes] = next();
+  const [step, goes] = nextStep(state, you.operates);
   at("next").textContent = step;
   for (const button of document.querySelectorAll("button.go")) if (!button.closest("#captures")) button.classList.remove("go");
   if (typeof goes === "string" && goes) at(goes).classList.add("go");
   at("estop").hidden = !state.estop;
-  at("estop").textContent = `The emergency stop is pressed. Release it, then ${resumable() ? "press Resume" : "begin again"}.`;
+  at("estop").textContent = `The emergency stop is pressed. Release it, then ${resumable(state) ? "press Resume" : "begin again"}.`;
   for (const id of ["aim", "boards", "sweep"]) at(id).disabled = !operates || running || (id === "aim" && busy);
   at("boards").disabled ||= !state.has_board;
   at("boards").title = state.has_board ? "" : "The configuration has no [board] table.";
   at("pause").disabled = !operates || !busy;
   at("pause").textContent = state.doing === "aim" ? "End" : "Pause";
-  at("resume").disabled = !operates || busy || !resumable();
+  at("resume").disabled = !operates || busy || !resumable(state);
   for (const id of ["boards-name", "sweep-name"]) nameAnew(id);
   at("lost-stops").disabled = !operates;
   at("lost-stops").checked = state.lost === "stop";
@@ -139,60 +106,14 @@ function show() {
     return make("li", `${time}  ${line.says}`, line.kind);
   }));
   at("folder").textContent = state.folder;
-  showCalibration();
+  showCalibration(state, operates);
   showLive(state);
   showHand(state, operates);
   showGuide(state);
-  showVerdict(state.verdict);
+  showVerdict(state);
   showCaptures(state, you.operates, cloud, order, typeof goes === "string" ? ["", ""] : goes);
   showWorks(state.works);
 }
-
-function age(seconds) {
-  const [each, name] = [[86400, "day"], [3600, "hour"], [60, "minute"]].find(([each]) => seconds >= each) ?? [1, ""];
-  const count = Math.floor(seconds / each);
-  return name ? `${count} ${name}${count === 1 ? "" : "s"} ago` : "just now";
-}
-
-// By the user's own goal; a colour without one would judge what nobody asked for.
-const judged = (size) => (!state.goal_mm || !size ? "" : size <= state.goal_mm ? "good" : "open");
-
-const inUse = () => (state.calibrations ?? []).find((one) => state.calibration && state.calibration.split("/").at(-1) === one.file);
-
-// The calibration that is used, and those that may be used instead. Its verdict is said once.
-function showCalibration() {
-  const known = state.calibrations ?? [], used = inUse();
-  const made = used ? age(Date.now() / 1000 - used.changed) : "", below = used && state.verdict?.verdict?.headline === used.headline;
-  at("calibration").textContent = !state.calibration ? "none yet: the cloud grows once there is one" : !used ? state.calibration : below ? `made ${made}` : `${used.headline}; ${made}`;
-  at("calibration").className = used && !below ? judged(used.sigma_mm) : "";
-  const some = known.filter((one) => one.good), list = at("calibrations");
-  list.hidden = !some.length;
-  list.disabled = !you.operates;
-  const words = (one) => [one.sigma_mm && `${twoDigits(one.sigma_mm)} mm`, one.file, age(Date.now() / 1000 - one.changed)].filter(Boolean).join(", ");
-  const key = JSON.stringify([some.map(words), used?.file]);
-  if (list.dataset.shown === key || document.activeElement === list) return;
-  list.dataset.shown = key;
-  fill(list, [...(used?.good ? [] : [make("option", state.calibration ?? "choose one")]), ...some.map((one) => { const made = make("option", words(one)); made.value = one.file; return made; })]);
-  list.value = used?.file ?? list.options[0]?.value;
-}
-
-function showVerdict(verdict) {
-  at("verdict").hidden = !verdict?.verdict;
-  if (!verdict?.verdict) return;
-  const own = judged(verdict.sigma_mm), kinds = { good: own, plain: own, bad: "wrong", open: "open" };
-  at("headline").textContent = `${verdict.so_far ? `${verdict.so_far} so far: ` : ""}${verdict.verdict.headline}`;
-  at("headline").className = `headline ${kinds[verdict.verdict.kind] ?? ""}`;
-  at("goal").textContent = !verdict.sigma_mm ? "" : state.goal_mm ? `Your goal_mm is ${state.goal_mm}: ${verdict.sigma_mm <= state.goal_mm ? "met" : "not met"}.` : `Write goal_mm into ${state.config} to have it judged.`;
-  at("explanation").textContent = verdict.verdict.explanation;
-  fill(at("lengths"), (verdict.lengths ?? []).map((length) => {
-    const row = make("tr", undefined, length.part ? "part" : "");
-    row.append(make("td", `± ${twoDigits(length.sigma_mm)} mm`), make("td", length.what));
-    return row;
-  }));
-  fill(at("next-steps"), [...(verdict.warnings ?? []), ...(verdict.advice ?? [])].map((text) => make("li", text)));
-}
-
-const twoDigits = (size) => (size >= 10 ? size.toFixed(0) : Number(size.toPrecision(2)).toString());
 
 function showWorks(works) {
   at("calculations").hidden = !works.length;

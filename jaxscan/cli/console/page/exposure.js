@@ -42,7 +42,7 @@ export function exposureNote({ wish, camera, config }) {
   const sameGain = wish?.gain_db === (camera?.gain_db ?? 0);
   if (!wish?.exposure_ms || (wish.exposure_ms === camera?.exposure_ms && sameGain)) return "";
   const gain = sameGain ? "" : ` and camera.gain_db = ${wish.gain_db}`;
-  return `Set here until the console ends; to keep it, write camera.exposure_ms = ${wish.exposure_ms}${gain} into ${config}.`;
+  return `This exposure holds until the console ends; to keep it, write camera.exposure_ms = ${wish.exposure_ms}${gain} into ${config}.`;
 }
 
 export function takeHand(order) {

@@ -1,5 +1,5 @@
 import { at } from "/shared.js";
-import { exposureNote } from "/hand.js";
+import { exposureNote } from "/exposure.js";
 
 // The camera's picture, with the laser's line, the board's corners, and the place where to hold the board next.
 const canvas = at("picture"), pen = canvas.getContext("2d");
@@ -17,6 +17,7 @@ export function showLive(state) {
   known = state;
   const live = state.live ?? {};
   const lit = live.peak_dn !== undefined;
+  at("facts").hidden = !bitmap;
   at("peak").value = live.peak_dn ?? 0;
   at("peak-dn").textContent = lit ? `${live.peak_dn.toFixed(0)} of 255${live.clipped > 0.02 ? `, ${(100 * live.clipped).toFixed(0)} % clipped` : ""}` : "–";
   at("angle").textContent = live.angle_deg === undefined ? "" : `table at ${live.angle_deg.toFixed(2)}°`;

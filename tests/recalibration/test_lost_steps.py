@@ -3,21 +3,47 @@
 import numpy as np
 import pytest
 
-from jaxscan.recalibration.table import check_angles
-from jaxscan.recalibration.table.steps import LostStep, lasting, say_jump
-from jaxscan.recalibration.table.walls import Equations, fit_steps
-from tests.recalibration.table_room import FURNITURE, knocked, paper_scanner, sweep
+from jaxscan.geometry import LaserSheet, Pinhole, Scanner, Turntable
+from jaxscan.recalibration.lost_steps import Equations, LostStep, check_angles, fit_steps, lasting, say_jump
+from tests.recalibration.faces import box, pose, solid, take
 
 
 pytestmark = pytest.mark.more
 
+ROOM = box(-1.85, 1.97, -3.0, 3.15, -1.2, 1.3)
+FURNITURE = [
+    *solid((-1.7, 0.7, -1.2), (-1.1, 1.7, 0.0)),
+    *solid((1.375, -2.2, -1.2), (1.825, -1.4, 0.8)),
+    *solid((-0.3, 2.725, -1.2), (0.9, 3.075, -0.2)),
+]
+KNOCKED = {"fx": 8.0, "fy": 8.0, "cx": 8.0, "cy": 8.0, "k1": 0.01, "k2": 0.02, "gain": 3e-4} | {
+    "n1": 1e-3, "n2": 1e-3, "d": 5e-4, "d1": 1e-3, "d2": 1e-3, "p1": 1e-3, "p2": 1e-3
+}  # fmt: skip
+"""By how much a poor calibration errs [px, rad, m]."""
+
+
+def paper_scanner():
+    """The scanner of the paper without distortion; its image has 40 lines, over the same field of view."""
+    tall = 40 / 1638
+    lens = {"fx": 2894.462, "fy": tall * 2887.338, "cx": 1016.814, "cy": tall * 817.261, "distortion": np.zeros(5)}
+    sheet = LaserSheet.from_plane(np.array([-7.606, -1.685, 1.0]), 1.296203)
+    table = Turntable.from_axis([-0.018237, -0.999833, -0.000846], [-0.009786, 0.000358, -0.212275])
+    return Scanner.from_parts(Pinhole(**lens, width=2048, height=40), sheet, table)
+
+
+def sweep(phi, faces, true=None, seed=0):
+    """A sweep with so many evenly spaced angles [rad] and noise of 0.1 px."""
+    turn = len(phi) * float(phi[1] - phi[0])
+    how = {"steps": len(phi), "turn": turn, "noise_px": 0.1, "seed": seed, "pose": pose((0.0, 0.0, 0.0), 17.2)}
+    return take(faces, paper_scanner(), stood=true, **how).sweep
+
 
 def checked(phi, true, seed):
     """The findings with a poor calibration, and the corrected angles less the true ones."""
-    rng = np.random.default_rng(seed)
-    scanner = paper_scanner(40)
-    stripes = sweep(scanner, phi, true=true, rng=rng, furniture=FURNITURE)
-    found = check_angles([stripes], knocked(scanner, rng, 0.3))
+    scanner, rng = paper_scanner(), np.random.default_rng(seed)
+    sigma = np.array([KNOCKED.get(name.split(".")[-1], 0.0) for name in scanner.parameter_names()])
+    poor = scanner.retract(0.3 * sigma * rng.standard_normal(len(sigma)))
+    found = check_angles([sweep(phi, [*ROOM, *FURNITURE], true, seed)], poor)
     return found, phi + found.corrections[0] - true
 
 
@@ -70,13 +96,11 @@ def test_steps_that_undo_each_other_are_a_wall_that_stands_out():
 
 
 def test_nothing_is_said_without_walls_or_of_a_tiny_sweep():
-    scanner = paper_scanner(40)
-    tiny = sweep(scanner, np.linspace(0.0, 0.05, 6))
-    cloud = sweep(scanner, np.linspace(0.0, 6.0, 240))
+    tiny, cloud = sweep(np.linspace(0.0, 0.05, 6), ROOM), sweep(np.linspace(0.0, 6.0, 240), ROOM)
     noise = np.random.default_rng(8).uniform(950, 1400, cloud.centre.shape)
     cloud = cloud._replace(centre=noise.astype(np.float32))
     empty = cloud._replace(valid=np.zeros_like(cloud.valid))
-    found = check_angles([tiny, cloud, empty], scanner)
+    found = check_angles([tiny, cloud, empty], paper_scanner())
     assert found.sentences == () and found.jumps == ()
     assert [len(one) for one in found.corrections] == [6, 240, 240]
 

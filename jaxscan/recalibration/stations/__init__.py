@@ -1,3 +1,0 @@
-"""First poses of stations."""
-
-from jaxscan.recalibration.stations.place import place_stations

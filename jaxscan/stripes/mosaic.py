@@ -1,0 +1,105 @@
+"""What a colour mosaic does to centres, learned from steep stripes and taken back.
+
+A mosaic has the laser's colour on every second pixel. What a program fills in between is no Gaussian, so a centre errs
+by its place p on the mosaic, as a wave of two pixels: $a \\cos(\\pi p) + b \\sin(\\pi p)$. An upright stripe keeps its
+place, and nothing in its rows shows the error; a steep one passes all places within a few rows.
+"""
+
+from typing import NamedTuple
+
+import numpy as np
+from jaxtyping import Float
+from numpy.lib.stride_tricks import sliding_window_view
+
+from jaxscan.stripes.correlation import alike_on_mosaic
+from jaxscan.stripes.scatter import ProfileRows, cubic_rest, evenly_chosen
+
+
+_WIDTH = 32
+"""Rows of a window about a cubic."""
+_PERIOD_PX, _STEEPEST = 2.0, 0.8
+"""Way of a stripe in a window from which the window shows a wave, and slope up to which it is one surface [px/row]."""
+_CALM, _WINDOWS = 2.5, 30
+"""Scatter of a window over the usual one up to which it counts, as edges lie in the others; and fewest windows."""
+_LEAST = 0.1
+"""Least part of the windows' scatter that a wave explains: frames without a mosaic have none [1]."""
+_MOST_PX = 0.3
+"""Largest amplitude: with more, two places would have one centre."""
+_LEFT = 0.25
+"""Part of a wave that is left: it differs by so much between bright and faint stripes, and upright and steep ones."""
+_ROUNDS, _STEPS = 8, 20
+
+
+class Wave(NamedTuple):
+    """What a mosaic does to centres."""
+
+    error: Float[np.ndarray, "profiles lines"]
+    """Of each centre [px]."""
+    left_px: float
+    """Standard deviation of what is left of it in an upright stripe [px]."""
+
+
+def mosaic_wave(rows: ProfileRows, near: tuple[float, ...], line_step: int = 1) -> Wave | None:
+    """The error of centres by their place on a mosaic; None where the rows show none.
+
+    Args:
+        rows: All rows of a laser.
+        near: Correlation of the noise of next rows: the filter that makes it lets less of a steep stripe's wave pass.
+        line_step: Distance of the lines on which the laser's colour is seen.
+    """
+    some = evenly_chosen(rows)
+    windows = [np.zeros((0, _WIDTH))] * 2
+    for first in range(line_step if rows.u.shape[1] >= _WIDTH * line_step else 0):
+        u, sigma, valid = (
+            sliding_window_view(field[:, first::line_step], _WIDTH, 1)[:, :: _WIDTH // 4]
+            for field in (some.u, some.sigma, some.valid)
+        )
+        way = np.abs(u[..., -1] - u[..., 0])
+        there = valid.all(2) & (way > _PERIOD_PX) & (way < _STEEPEST * _WIDTH)
+        windows = [np.concatenate(pair) for pair in zip(windows, (u[there], sigma[there]), strict=True)]
+    u, sigma = windows[0].astype(np.float64), np.sqrt(np.mean(np.square(windows[1], dtype=np.float64), 1))
+    if len(u) < _WINDOWS or sigma.min() <= 0:
+        return None
+    left = cubic_rest(_WIDTH)
+    rest = (u - u.mean(1, keepdims=True)) @ left / sigma[:, None]
+    square = np.sum(rest**2, 1)
+    calm = square < _CALM * np.median(square)
+    u, sigma, rest = u[calm], sigma[calm, None], rest[calm]
+    passed = _passed(np.abs(u[:, -1:] - u[:, :1]) / (_WIDTH - 1.0), near)
+    wave = np.zeros(2)
+    for _ in range(_ROUNDS):
+        phase = np.pi * _places(u, wave, passed)
+        design = np.stack([(passed * part(phase)) @ left / sigma for part in (np.cos, np.sin)], -1).reshape(-1, 2)
+        found, *_ = np.linalg.lstsq(design, rest.reshape(-1), rcond=None)
+        wave = 0.5 * (wave + found)
+        wave *= min(1.0, _MOST_PX / max(float(np.hypot(*wave)), 1e-9))
+    if np.sum((rest.reshape(-1) - design @ wave) ** 2) > (1.0 - _LEAST) * np.sum(rest**2):
+        return None
+    u = np.asarray(rows.u, np.float64)
+    error = np.where(rows.valid, u - _places(u, wave, _passed(_slopes(rows, line_step), near)), 0.0)
+    return Wave(error.astype(np.float32), _LEFT * float(np.hypot(*wave)) / np.sqrt(2.0))
+
+
+def _passed(slope: np.ndarray, near: tuple[float, ...]) -> np.ndarray:
+    """Part of the wave of an upright stripe that is left of that of a steeper one [1]."""
+    return np.sqrt(alike_on_mosaic(np.zeros(1), slope, near))
+
+
+def _places(u: np.ndarray, wave: np.ndarray, passed: np.ndarray) -> np.ndarray:
+    """Where stripes lie whose centres are seen at u [px]."""
+    place = u
+    for _ in range(_STEPS):
+        error = passed * (wave[0] * np.cos(np.pi * place) + wave[1] * np.sin(np.pi * place))
+        place = 0.5 * (place + u - error)
+    return place
+
+
+def _slopes(rows: ProfileRows, line_step: int) -> np.ndarray:
+    """Of the stripe about each row, absolute, by the less steep side; 0 where it is not known [px/row]."""
+    reach, slope = _WIDTH // 4 * line_step, np.zeros(rows.u.shape)
+    if slope.shape[1] <= 2 * reach:
+        return slope
+    rise = np.abs(rows.u[:, reach:] - rows.u[:, :-reach]) / (reach / line_step)
+    rise = np.where(rows.valid[:, reach:] & rows.valid[:, :-reach], rise, 0.0)
+    slope[:, reach:-reach] = np.minimum(np.minimum(rise[:, :-reach], rise[:, reach:]), _STEEPEST)
+    return slope
