@@ -201,7 +201,7 @@ class TestOutput:
 
     def test_a_folder_that_cannot_be_written(self, tiny, refused, tmp_path, monkeypatch):
         # Nothing is forbidden to root, so the system's answer is replaced.
-        monkeypatch.setattr("jaxscan.files.disk.atomic.os.access", lambda *asked: False)
+        monkeypatch.setattr("jaxscan.files.disk.writing.os.access", lambda *asked: False)
         for words in (
             ["reconstruct", tiny.sweep, "-c", tiny.calibration, "-o", tmp_path / "a.ply"],
             ["calibrate", tiny.boards, "-o", tmp_path / "a.json"],
