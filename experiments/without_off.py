@@ -6,12 +6,13 @@ sweep is lit on all rows, one on 15 of 256, and one not at all. And the real pic
 with the laser's light within 1.5 px, of all that the pair gives; of few rows, of all that are lit. False: stripes off
 the laser's light, of all that are accepted. A table goes to experiments/results/without_off.md.
 
-    python -m experiments.without_off [--steps N]
+    python -m experiments.without_off [--steps N] [--jobs N]
 """
 
 import itertools
 import tomllib
 from dataclasses import replace
+from functools import partial
 from importlib.resources import files
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -21,7 +22,7 @@ import numpy as np
 
 import jaxscan
 from experiments.plain import centres, signal
-from experiments.report import RESULTS, ROOT, command_line, table
+from experiments.report import RESULTS, ROOT, command_line, in_processes, table
 from jaxscan.errors import CaptureError
 from jaxscan.reconstruction import ReconstructSettings, Sweep, extract
 from jaxscan.simulation import SimulationConfig, develop, expect_sweep, expose, true_scanner
@@ -151,8 +152,9 @@ def share(part: np.ndarray, whole: np.ndarray) -> float:
     return np.count_nonzero(part) / max(np.count_nonzero(whole), 1)
 
 
-def room_rows(pixel_format: str, peak_dn: float, steps: int) -> list[list[str]]:
+def room_rows(world: tuple[str, float], steps: int) -> list[list[str]]:
     """Rows of the table for the demo's room."""
+    pixel_format, peak_dn = world
     seen = Seen.of(demo(pixel_format, peak_dn), SEED, steps)
     sweep, rows = Sweep(seen.on, seen.off, seen.angles, pixel_format=pixel_format), []
     u, valid, verdict = found_in(sweep, seen.scanner)
@@ -176,58 +178,52 @@ def room_rows(pixel_format: str, peak_dn: float, steps: int) -> list[list[str]]:
     return rows
 
 
-def other_rows() -> list[list[str]]:
-    """Rows of the table for the other rooms."""
-    rows = []
-    for pixel_format, peak_dn, seed, yaw in OTHERS:
-        config = demo(pixel_format, peak_dn)
-        camera = config["camera"]
-        camera.update(width=320, height=256, **{key: camera[key] / 2 for key in ("fx", "fy", "cx", "cy")})
-        config["room"]["yaw_deg"] = yaw
-        seen = Seen.of(config, seed, STEPS)
-        u, valid, _ = found_in(Sweep(seen.on, seen.off, seen.angles, pixel_format=pixel_format), seen.scanner)
-        few = seen.dark.copy()
-        few[:, ROWS] = seen.on[:, ROWS]
-        cells = [f"{pixel_format}, {peak_dn:.0f} DN, seed {seed}, {yaw:.0f}°"]
-        for on, lit in ((seen.on, slice(None)), (few, ROWS), (seen.dark, slice(0))):
-            own, there, verdict = found_in(Sweep(on, None, seen.angles, pixel_format=pixel_format), seen.scanner)
-            if verdict == "refused":
-                own, there = np.zeros(valid.shape), np.zeros(valid.shape, bool)
-            good, wanted = there & seen.lit_near(own, lit), np.zeros(valid.shape, bool)
-            wanted[:, lit] = valid[:, lit]
-            same = good & wanted & (np.abs(own - u) < NEAR_PX)
-            if not wanted.any():
-                cells.append(verdict if verdict == "refused" else f"{np.count_nonzero(there)} lines")
-                continue
-            false = f"{100 * share(there & ~good, there):.2f} %"
-            cells += ["refused", ""] if verdict == "refused" else [f"{100 * share(same, wanted):.1f} %", false]
-        rows.append(cells)
-        print(cells, flush=True)
-    return rows
+def other_row(room: tuple[str, float, int, float]) -> list[str]:
+    """A row of the table for the other rooms."""
+    pixel_format, peak_dn, seed, yaw = room
+    config = demo(pixel_format, peak_dn)
+    camera = config["camera"]
+    camera.update(width=320, height=256, **{key: camera[key] / 2 for key in ("fx", "fy", "cx", "cy")})
+    config["room"]["yaw_deg"] = yaw
+    seen = Seen.of(config, seed, STEPS)
+    u, valid, _ = found_in(Sweep(seen.on, seen.off, seen.angles, pixel_format=pixel_format), seen.scanner)
+    few = seen.dark.copy()
+    few[:, ROWS] = seen.on[:, ROWS]
+    cells = [f"{pixel_format}, {peak_dn:.0f} DN, seed {seed}, {yaw:.0f}°"]
+    for on, lit in ((seen.on, slice(None)), (few, ROWS), (seen.dark, slice(0))):
+        own, there, verdict = found_in(Sweep(on, None, seen.angles, pixel_format=pixel_format), seen.scanner)
+        if verdict == "refused":
+            own, there = np.zeros(valid.shape), np.zeros(valid.shape, bool)
+        good, wanted = there & seen.lit_near(own, lit), np.zeros(valid.shape, bool)
+        wanted[:, lit] = valid[:, lit]
+        same = good & wanted & (np.abs(own - u) < NEAR_PX)
+        if not wanted.any():
+            cells.append(verdict if verdict == "refused" else f"{np.count_nonzero(there)} lines")
+            continue
+        false = f"{100 * share(there & ~good, there):.2f} %"
+        cells += ["refused", ""] if verdict == "refused" else [f"{100 * share(same, wanted):.1f} %", false]
+    return cells
 
 
-def whitish_rows() -> list[list[str]]:
-    """Rows of the table for lines in all channels: the error of four ways, and the part of the lines that is found."""
-    rows = []
-    for pixel_format, peak_dn, others, white_dn, seed, yaw in WHITISH:
-        config = demo(pixel_format, peak_dn)
-        camera = config["camera"]
-        camera.update(width=320, height=256, **{key: camera[key] / 2 for key in ("fx", "fy", "cx", "cy")})
-        config["room"]["yaw_deg"], config["light"]["white_dn"] = yaw, white_dn
-        config["sensor"]["crosstalk"] = others
-        seen = Seen.of(config, seed, STEPS)
-        sweep = Sweep(seen.on, None, seen.angles, pixel_format=pixel_format)
-        ways = [found_in(one, seen.scanner)[:2] for one in (sweep, replace(sweep, off=seen.off))]
-        if pixel_format == "rgb8":
-            ways += [plain_of(seen, None), plain_of(seen, seen.off)]
-        cells = [f"{pixel_format}, {peak_dn:.0f} DN, {others:g} of it, wall {white_dn:.0f} DN, seed {seed}"]
-        for u, there in ways:
-            good = there & seen.lit_near(u) & (np.abs(u - seen.truth) < 2.0) if there.size else there
-            error = np.quantile(np.abs(u - seen.truth)[good], 0.683) if good.any() else np.nan
-            cells += [f"{error:.3f} px", f"{np.count_nonzero(good)}"]
-        rows.append(cells + ["", ""] * (4 - len(ways)))
-        print(rows[-1], flush=True)
-    return rows
+def whitish_row(world: tuple[str, float, float, float, int, float]) -> list[str]:
+    """A row of the table for lines in all channels: the error of four ways, and the number of lines."""
+    pixel_format, peak_dn, others, white_dn, seed, yaw = world
+    config = demo(pixel_format, peak_dn)
+    camera = config["camera"]
+    camera.update(width=320, height=256, **{key: camera[key] / 2 for key in ("fx", "fy", "cx", "cy")})
+    config["room"]["yaw_deg"], config["light"]["white_dn"] = yaw, white_dn
+    config["sensor"]["crosstalk"] = others
+    seen = Seen.of(config, seed, STEPS)
+    sweep = Sweep(seen.on, None, seen.angles, pixel_format=pixel_format)
+    ways = [found_in(one, seen.scanner)[:2] for one in (sweep, replace(sweep, off=seen.off))]
+    if pixel_format == "rgb8":
+        ways += [plain_of(seen, None), plain_of(seen, seen.off)]
+    cells = [f"{pixel_format}, {peak_dn:.0f} DN, {others:g} of it, wall {white_dn:.0f} DN, seed {seed}"]
+    for u, there in ways:
+        good = there & seen.lit_near(u) & (np.abs(u - seen.truth) < 2.0) if there.size else there
+        error = np.quantile(np.abs(u - seen.truth)[good], 0.683) if good.any() else np.nan
+        cells += [f"{error:.3f} px", f"{np.count_nonzero(good)}"]
+    return cells + ["", ""] * (4 - len(ways))
 
 
 def plain_of(seen: Seen, off: np.ndarray | None) -> tuple[np.ndarray, np.ndarray]:
@@ -267,21 +263,19 @@ def main() -> None:
     """Measure, print, and write the table."""
     parser = command_line(__doc__)
     parser.add_argument("--steps", type=int, default=48)
+    parser.add_argument("--jobs", type=int, default=1, help="processes, each of which takes a world of about 3 GB")
     parser.add_argument("--results", type=Path, default=RESULTS)
     options = parser.parse_args()
     steps = options.steps
-    rows = []
-    for pixel_format, peak_dn in WORLDS:
-        rows += room_rows(pixel_format, peak_dn, steps)
-        print(*rows[-4:], sep="\n", flush=True)
+    rows = [row for rows in in_processes(partial(room_rows, steps=steps), WORLDS, options.jobs) for row in rows]
     rows += ciclop_rows() if CICLOP.is_dir() else []
     head = HEAD.format(steps=steps, seed=SEED, false=100 * FALSE)
     text = table(["sweep", "verdict", "found", f"false (limit {100 * FALSE:.1f} %)", "median error"], rows)
     names = ["room", "found", f"false (limit {100 * FALSE:.1f} %)", "15 rows: found", "false", "no laser"]
-    others = table(names, other_rows())
+    others = table(names, in_processes(other_row, OTHERS, options.jobs))
     ways = ("ours without", "ours with pairs", "plain without", "plain with pairs")
     names = ["line", *(cell for way in ways for cell in (way, "lines"))]
-    white = f"{WHITE.format(steps=STEPS)}\n{table(names, whitish_rows())}"
+    white = f"{WHITE.format(steps=STEPS)}\n{table(names, in_processes(whitish_row, WHITISH, options.jobs))}"
     text = f"{head}\n{text}\n{MORE.format(steps=STEPS)}\n{others}\n{white}\n"
     (options.results / "without_off.md").write_text(text)
 
