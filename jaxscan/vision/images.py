@@ -185,9 +185,10 @@ def _by_opencv(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
         raise ValueError(f"{problem.err or 'OpenCV gave no reason'}"[:200]) from problem
     if image is None:
         raise ValueError("OpenCV cannot read it")
-    if image.ndim == 3 and image.shape[2] == 4 and np.issubdtype(image.dtype, np.integer):
+    opaque = {"uint8": 255, "uint16": 65535}.get(image.dtype.name)
+    if image.ndim == 3 and image.shape[2] == 4 and image[..., 3].min() == opaque:
         # An alpha channel that is opaque everywhere says nothing.
-        image = image[..., :3] if image[..., 3].min() == np.iinfo(image.dtype).max else image
+        image = image[..., :3]
     return cv2.cvtColor(image, cv2.COLOR_BGR2RGB) if image.ndim == 3 and image.shape[2] == 3 else image
 
 
