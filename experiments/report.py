@@ -148,7 +148,7 @@ class Ran(NamedTuple):
     """Its standard error."""
     wall_s: float
     processor_s: float
-    """Of the process and of those that it waited for."""
+    """Processor time of the process and of those that it waited for."""
 
     def notes(self) -> list[str]:
         """Its notes."""
@@ -163,7 +163,7 @@ def verb(*words: str | Path, cores: set[int] | None = None, **environment: str) 
     """Run a verb as a user does, in a process of its own.
 
     Args:
-        cores: Of the processor that it may use; None: all.
+        cores: Cores that it may use; None: all.
     """
     command = [sys.executable, "-m", "jaxscan", *map(str, words)]
     bind = None if cores is None else lambda: os.sched_setaffinity(0, cores)

@@ -318,9 +318,9 @@ def _histogram(axes: plt.Axes, name: str, clouds: list[Measured]) -> None:
 
 
 COLUMNS = {False: 15, True: 5}
-"""Of marks, in the full and the quick wall."""
+"""Columns of marks on the full and on the quick wall."""
 LEAST_PAIRS = 200
-"""Of marks, so that their standard deviation is known to 5 %."""
+"""Least number of pairs of marks: their standard deviation is then known to 5 %."""
 STEP_DEG = {False: 0.1, True: 0.2}
 DEPTHS_M = (2.2, 3.1)
 """Between which the wall lies, as a user knows."""

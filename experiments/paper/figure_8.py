@@ -19,7 +19,7 @@ from jaxscan.surface import load_open3d
 
 
 STEP_DEG = {False: 0.1, True: 0.2}
-"""Of the full and the quick sweep."""
+"""Step of the full and of the quick sweep."""
 TURN_DEG = (-11.5, 11.5)
 DEPTHS_M = (1.05, 1.70)
 """Between which objects and table lie."""
@@ -70,7 +70,7 @@ def visible_places(config: SimulationConfig, scene: Scene, angles: np.ndarray) -
     Surfaces at less than about 12 degrees to either ray do not count.
 
     Args:
-        angles: Of the table, of each record [rad].
+        angles: Angle of the table for each record [rad].
 
     Returns:
         [n, 3], m, scanner frame.

@@ -22,7 +22,7 @@ from jaxscan.report.clouds import draw_cloud
 
 
 PROFILES, ROWS = 360, 200
-"""Of a thinned cloud, about: enough points for planes, and thirty clouds take little time."""
+"""Points of a thinned cloud, about: enough for planes, and thirty clouds take little time."""
 UPRIGHT = np.array([[0.0, 0.0, 1.0], [-1.0, 0.0, 0.0], [0.0, -1.0, 0.0]])
 """From the camera's frame (right, down, ahead) to one whose z is up."""
 _SIGMA_M, _SIGMA_AT_M = 1e-3, 1.3
@@ -51,11 +51,11 @@ class Size(NamedTuple):
     length_sigma: float = np.nan
 
     def errors(self, truth: "Size") -> np.ndarray:
-        """Of width and length [2]."""
+        """Errors of width and length [2]."""
         return np.array(self[:2]) - np.array(truth[:2])
 
     def sigmas(self) -> np.ndarray:
-        """Of width and length [2]."""
+        """Predicted standard deviations of width and length [2]."""
         return np.array(self[2:])
 
 
@@ -63,7 +63,7 @@ NOT_MEASURED = Size(np.nan, np.nan)
 
 
 def true_size(stage: Stage) -> Size:
-    """Of the configuration's room."""
+    """Size of the configuration's room."""
     room = stage.config.room
     assert room is not None
     width, length = sorted(1e3 * side for side in room.size_m[:2])
@@ -142,7 +142,7 @@ def points_of(xyz: np.ndarray, angles: np.ndarray) -> Points:
 
     Args:
         xyz: [records, rows, 3], m; z up, NaN where there is no point.
-        angles: Of the table [records], rad.
+        angles: Angles of the table [records], rad.
     """
     far = np.linalg.norm(xyz, axis=-1)
     valid = np.isfinite(far) & (far < FARTHEST_M)

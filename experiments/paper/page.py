@@ -41,7 +41,7 @@ def page(worlds: dict[str, dict[str, Any]]) -> str:
 
 
 def _cells(metrics: dict[str, Metric]) -> list[str]:
-    """Of the table: figure, unit, paper, each world, wanted."""
+    """Cells of the table: figure, unit, paper, each world, wanted."""
     one = next(iter(metrics.values()))
     paper = "" if one.paper is None else f"{one.paper:.7g}"
     values = []

@@ -230,7 +230,7 @@ def _lengths_over_predicted(scanners: list[Scanner], errors: np.ndarray, lengths
     """Root mean square errors of the lengths over their predicted standard deviations; a bias counts.
 
     Args:
-        errors: Of all quantities, in their units [draws, quantities].
+        errors: Errors of all quantities, in their units [draws, quantities].
     """
     sigma = 1000 * np.array([length_sigma(scanner, lengths) for scanner in scanners])
     limits = AGREE if len(scanners) >= ENOUGH else (None, None)

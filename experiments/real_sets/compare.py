@@ -84,15 +84,15 @@ true ones and no more: "on table" counts the points within 1 mm of the cubic sur
 """
 
 
-FIRST_DATE = "2026-11-28"
-"""Since then results hold the day on which they were measured."""
+LAST_UNDATED = "2026-11-28"
+"""After it results hold the day on which they were measured."""
 
 
 def _sets(known: list[RealSet], results: dict[str, Any]) -> str:
     rows = []
     for one in known:
         place = one.repository if one.repository == "opencv/opencv" else f"{one.repository} {one.commit[:7]}"
-        when = results[one.name].get("ours", {}).get("measured", f"before {FIRST_DATE}")
+        when = results[one.name].get("ours", {}).get("measured", f"{LAST_UNDATED} or before")
         rows.append([one.name, place, one.licence, one.about, one.reference or "none", when])
     return table(["set", "repository", "licence", "capture", "published", "jaxscan of"], rows)
 

@@ -62,7 +62,7 @@ class Solved(NamedTuple):
     shape: np.ndarray
     """Corners of the board as the method takes them [n, 3]; m."""
     corners: list[np.ndarray]
-    """Of each view [n, 2]; px, not finite where not found."""
+    """Corners of each view [n, 2]; px, not finite where not found."""
     lines: list[BoardLine]
     sheets: list[Plane]
 
@@ -140,8 +140,8 @@ def table_figures(xyz: np.ndarray, height: float, normal: np.ndarray, inner: flo
 
     Args:
         xyz: Points [n, 3] in the table's coordinates: origin on the axis, z along it, up; m.
-        height: Of the markers above the origin [m].
-        normal: Of the plane of the markers [3].
+        height: Height of the markers above the origin [m].
+        normal: Normal of the plane of the markers [3].
         inner: Radius of the part of the table that is covered [m].
     """
     above, radius = xyz[:, 2] - height, np.hypot(xyz[:, 0], xyz[:, 1])
@@ -178,9 +178,9 @@ class Table(NamedTuple):
     """A turntable in the coordinates of the camera, which stands still."""
 
     direction: np.ndarray
-    """Of the axis, away from the table's plane towards the camera's side."""
+    """Direction of the axis, from the table's plane towards the camera's side."""
     point: np.ndarray
-    """Of the axis, in the table's plane [m]."""
+    """Where the axis meets the table's plane [m]."""
     plane: Plane
     """The table's surface."""
 

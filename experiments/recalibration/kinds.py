@@ -30,7 +30,7 @@ from jaxscan.simulation import Motion, SimulationConfig, true_scanner
 APART_M = 2.0
 STEPS = 180
 TILT_DEG = 0.3
-"""By about which a tripod leans, a standard deviation about each of two axes."""
+"""Standard deviation of the lean of a tripod about each of two axes."""
 
 
 def two_stations(seed: int) -> Task:

@@ -38,7 +38,7 @@ PLANS: dict[Kind, PosePlan] = {
 }
 """Plans of the boards' poses, which are drawn anew in every trial."""
 STRIPE_POINTS = 150
-"""Of each stripe."""
+"""Points of each stripe."""
 
 
 def draw_truth(config: SimulationConfig, seed: int) -> SimulationConfig:
@@ -79,7 +79,7 @@ def _poses(config: SimulationConfig, seed: int, plan: PosePlan) -> BoardPoses:
 
 
 POINTS = 4000
-"""Of each wall, from which its place is judged."""
+"""Points of each wall, from which its place is judged."""
 CLOSURE_M = 2.5
 
 

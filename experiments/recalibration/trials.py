@@ -40,7 +40,7 @@ TRIALS = dict.fromkeys(KINDS, 10)
 TRIALS |= {f"{kind}{more}": 30 for kind in ("paper-like", "good") for more in _MANY}
 TRIALS |= dict.fromkeys(("unkind, paper-like", "unkind, good", "nothing moved since a recalibration"), 30)
 TRIALS |= {kind: 5 for kind in KINDS if "lost" in kind}
-"""Of each kind, the first of the final seeds."""
+"""First of the final seeds of each kind."""
 
 Trials = Sequence[dict[str, Any]]
 

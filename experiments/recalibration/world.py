@@ -344,7 +344,7 @@ class Sweeping:
 
     steps: int = 360
     turn_deg: float = 360.0
-    """By the journal; beyond 360 it overlaps."""
+    """Turn by the journal; beyond 360 it overlaps."""
     line_stride: int = 1
     """Only every n-th image row has a centre."""
     furniture: bool | None = None
@@ -361,7 +361,7 @@ class Sweeping:
     """Standard deviation of independent errors of the steps [deg]."""
     station: int = 0
     tilt_deg: tuple[float, float] = (0.0, 0.0)
-    """By which the rig leans about its own x and y."""
+    """Angles by which the rig leans about its own x and y."""
     noise: Noise = Noise()
 
 
@@ -369,7 +369,7 @@ class TrueSweep(NamedTuple):
     """The truth of a sweep."""
 
     surface: np.ndarray
-    """Of each centre [profiles, lines]: -1 none; 0 ... 5 walls x0, x1, y0, y1, floor, ceiling; more: other things."""
+    """Surface of each centre [profiles, lines]: -1 none; 0 ... 5 walls x0, x1, y0, y1, floor, ceiling; more: others."""
     point: np.ndarray
     """Room coordinates [profiles, lines, 3]; m."""
     centre: np.ndarray

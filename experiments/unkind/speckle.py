@@ -1,6 +1,7 @@
 """Physical speckle on boards and walls: are stripes found, true, and honest about it?
 
-    python -m experiments.unkind.speckle [--seeds 11 20] [--contrasts 0.2 0.45 0.6] [--worlds FOLDER] [--results DIR]
+    python -m experiments.unkind.speckle [--seeds 11 20] [--contrasts 0.2 0.45 0.6] [--jobs N] [--worlds FOLDER]
+        [--results DIR]
 
 Worlds of `experiments.unkind.simulated` with a lens at f/4 and a laser whose speckle has such a contrast on one pixel,
 each calibrated as a user does, camera, sheet and axis from one capture of boards, by jaxscan and by the plain method.
@@ -16,7 +17,7 @@ from typing import Any
 
 import numpy as np
 
-from experiments.report import Figure, command_line, conclude, figure_table, machine, progress, rms
+from experiments.report import Figure, command_line, conclude, figure_table, in_processes, machine, progress, rms
 from experiments.unkind import judge, simulated
 from experiments.unkind.figures import AMPLITUDES, figure
 from jaxscan.errors import CalibrationError
@@ -26,9 +27,9 @@ from jaxscan.simulation import SimulationConfig
 SEEDS = (11, 20)
 """First and last seed that are judged; 1 to 3 were used while building."""
 CONTRASTS = (0.2, 0.45, 0.6)
-"""Of the laser's light on one pixel [1]; 0.6 is all that a lens at f/4 and pixels of 3.45 um leave."""
+"""Contrasts of the laser's light on one pixel [1]; 0.6 is all that a lens at f/4 and pixels of 3.45 um leave."""
 PEAKS_DN, WHITE_DN = (12.0, 120.0), 20.0
-"""Of the stripe on walls, by the seed, and of white paper in the dim light of a sweep [DN]: faint stripes are in it."""
+"""Peaks of the stripe on walls, by the seed, and white paper in the dim light of a sweep [DN]: faint stripes occur."""
 F_NUMBER, STEPS, FREE_VIEWS = 4.0, 40, 12
 HONEST = (0.9, 1.15)
 LEAST_DUE = 500
@@ -69,6 +70,19 @@ def measure(seed: int, contrast: float, folder: Path) -> dict[str, Any]:
     return found
 
 
+def judged(world: tuple[float, int, Path]) -> dict[str, Any] | None:
+    """The figures of the world of a contrast and a seed in a folder of its own; None where calibration refuses it."""
+    contrast, seed, folder = world
+    name = f"speckle_{contrast:g}_{seed}"
+    try:
+        found = measure(seed, contrast, folder / name)
+    except CalibrationError as problem:
+        progress(f"{name}: {problem}")
+        return None
+    progress(f"{name}: {in_a_line(found)}")
+    return found
+
+
 def figures_of(contrast: float, worlds: list[dict[str, Any]]) -> list[Figure]:
     """The figures of all seeds of one contrast, with their limits."""
     ours, plain = ([world[which] for world in worlds] for which in ("ours", "plain"))
@@ -101,6 +115,10 @@ def figures_of(contrast: float, worlds: list[dict[str, Any]]) -> list[Figure]:
         if due >= LEAST_DUE:
             out.append(Figure(f"sweep: rows found, {label}", found / due, "1"))
             out.append(Figure(f"sweep: rows found less plain's, {label}", (found - other) / due, "1", low=-0.005))
+    for name in names:
+        stated = each(ours, "smooth", "classes", name, "stated_over_true")
+        if np.isfinite(stated).any():
+            out.append(Figure(f"sweep, {name} DN: stated / true, median", float(np.nanmedian(stated)), "1", 0.9, 1.1))
     out.append(Figure("sweep: false points", float(each(ours, "smooth", "false_share").mean()), "1", high=0.005))
     out.append(Figure("sweep: false points, plain", float(each(plain, "smooth", "false_share").mean()), "1"))
     for part, name in (("rows", "sweep by rows"), ("smooth", "sweep")):
@@ -131,30 +149,28 @@ def main() -> int:
     parser = command_line(__doc__, json=True)
     parser.add_argument("--seeds", type=int, nargs=2, default=SEEDS, metavar=("FIRST", "LAST"))
     parser.add_argument("--contrasts", type=float, nargs="+", default=CONTRASTS)
+    parser.add_argument("--jobs", type=int, default=1, help="worlds at once, each in a process of about 2 GB")
     parser.add_argument("--worlds", type=Path, metavar="FOLDER", help="where worlds are kept, and taken again")
     parser.add_argument("--results", type=Path, metavar="DIR", help="where the page is written")
     options = parser.parse_args()
     first, last = options.seeds
     found: list[Figure] = []
     with tempfile.TemporaryDirectory() as scratch:
-        for contrast in options.contrasts:
-            worlds, refused = [], 0
-            for seed in range(first, last + 1):
-                name = f"speckle_{contrast:g}_{seed}"
-                try:
-                    worlds.append(measure(seed, contrast, (options.worlds or Path(scratch)) / name))
-                    progress(f"{name}: {judged(worlds[-1])}")
-                except CalibrationError as problem:
-                    refused += 1
-                    progress(f"{name}: {problem}")
-            found += [Figure(f"{contrast:g} worlds refused", refused, "1", high=0), *figures_of(contrast, worlds)]
+        folder, seeds = options.worlds or Path(scratch), range(first, last + 1)
+        worlds = [(contrast, seed, folder) for contrast in options.contrasts for seed in seeds]
+        each = in_processes(judged, worlds, options.jobs)
+    for number, contrast in enumerate(options.contrasts):
+        own = each[number * len(seeds) : (number + 1) * len(seeds)]
+        known = [world for world in own if world is not None]
+        found.append(Figure(f"{contrast:g} worlds refused", len(own) - len(known), "1", high=0))
+        found += figures_of(contrast, known) if known else []
     if options.results:
         text = f"{HEAD.strip()}\n\nSeeds {first} to {last}; {machine()}.\n\n{figure_table(found)}\n"
         (options.results / "speckle.md").write_text(text)
     return conclude("speckle", found, options.json)
 
 
-def judged(world: dict[str, Any]) -> str:
+def in_a_line(world: dict[str, Any]) -> str:
     """A world in a line, for people who wait."""
     ours, plain = world["ours"], world["plain"]
     pairs = (("sheet", ("rig", "sheet_mm")), ("rows found", ("smooth", "found_share")))

@@ -56,7 +56,7 @@ class Truth(NamedTuple):
     dimensions: np.ndarray
     """Distances of the opposite walls [n]; m."""
     wall_normals: np.ndarray
-    """Of the walls into the room, camera frame at angle 0 [2 n, 3], in pairs."""
+    """Normals of the walls into the room, camera frame at angle 0 [2 n, 3], in pairs."""
     wall_distances: np.ndarray
     """normal . p of their points [2 n]; m."""
     wall_surfaces: np.ndarray

@@ -116,7 +116,7 @@ def calibrate(
     settings = with_stops(settings, captures)
     board, eyes = common_board(captures, single_lasers=stripes), _eyes()
     pixels = sum(megapixels(*capture.image_size, len(capture)) for capture in captures)
-    # Of 50 pairs of 640 x 512 px on one processor; solving hardly depends on how large the images are.
+    # Measured with 50 pairs of 640 x 512 px on one processor; solving hardly depends on the size of images.
     again = (Stage(0.5, 0.12 * pixels), Stage(3.0)) if redetect else (Stage(0.0), Stage(5.0))
     stages = Stages(progress, (Stage(2.3, 0.14 * pixels), Stage(5.3 if redetect else 0.0), *again))
     if (begin := stages.part(0)) is not None:
@@ -183,7 +183,7 @@ class Again(NamedTuple):
     calibration: Calibration
     """With `fit`; captures and versions are those of the stored one."""
     departure: float
-    """Of the parameter that moved most, in its standard deviations [1]; infinite where a held parameter changed."""
+    """Departure of the parameter that moved most, in its standard deviations [1]; infinite if a held one changed."""
     parameter: str
     """Its name."""
 
@@ -198,7 +198,7 @@ def solve_again(stored: Calibration, *, name: str = "calibration") -> Again:
 
     Args:
         stored: As `load_calibration` gives it.
-        name: Of the calibration in messages.
+        name: Name of the calibration in messages.
 
     Raises:
         CalibrationError: If there are no observations, the settings cannot be meant, or the solve fails.

@@ -169,7 +169,7 @@ def draw_panorama(
         scanner: The calibrated rig.
         cloud: The sweep's cloud, by whose distances parallax is removed.
         projection: "equirectangular" or "cylinder".
-        width: Of a whole turn [px]; the camera's own resolution where not given.
+        width: Width of a whole turn [px]; the camera's own resolution where not given.
         progress: Called with (images read, images in all).
 
     Returns:

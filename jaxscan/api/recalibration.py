@@ -99,8 +99,8 @@ def register(
         progress: Called with (work done, work in all).
 
     Raises:
-        CaptureError: As of `recalibrate`.
-        CalibrationError: As of `recalibrate`, or if the places are not found.
+        CaptureError: As for `recalibrate`.
+        CalibrationError: As for `recalibrate`, or if the places are not found.
     """
     captures, settings = list(captures), with_stops(RecalibrationSettings(stations=True), captures)
     stored, _ = _stored(calibration)
@@ -163,7 +163,7 @@ def save_recalibrated_cloud(
         adjusted: As `recalibrate` and `register` give it.
         scanner: With which points are computed.
         path: Its suffix chooses the format, as of `save_cloud`.
-        settings: Of the stripes.
+        settings: Settings of the stripes.
         calibration_digest: Digest of the scanner's calibration file.
 
     Raises:

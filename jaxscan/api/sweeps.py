@@ -53,7 +53,7 @@ class FoundStripes(NamedTuple):
 
     stripes: Stripes
     seen: Seen
-    """Of the frames, by which doubts on them are raised."""
+    """Statistics of the frames, by which doubts about them are raised."""
     from_cache: bool
     """Whether they had been kept before, and no frame was read."""
     kept: bool
@@ -61,7 +61,7 @@ class FoundStripes(NamedTuple):
     notes: tuple[str, ...]
     """On stripes and pairs of frames, and on a folder that cannot be written; a sentence each."""
     noise: str
-    """As of `Reconstruction`."""
+    """As in `Reconstruction`."""
     smoothed: SmoothedSweep | None
     """The centres smoothed along the stripes; None where the settings do not smooth, or there is no stripe."""
 
@@ -96,7 +96,7 @@ def reconstruct_capture(
         CalibrationError: If the scanner is not that of the sweep, or no point is in range.
     """
     pixels = megapixels(*capture.image_size, len(capture))
-    # Of a sweep of 180 pairs of 640 x 512 px on one processor.
+    # Measured with a sweep of 180 pairs of 640 x 512 px on one processor.
     stages = Stages(progress, (Stage(3.1, 0.035 * pixels), Stage(4.2, 1e-3 * pixels)))
     found = find_stripes(capture, scanner, settings, noise=noise, progress=stages.part(0), cache=cache)
     stages.done(0)

@@ -155,7 +155,7 @@ class Adjustment:
     stripe_correlation: float = 1.0
     """Neighbours along a stripe that share one error [1]."""
     steps: int = 0
-    """In all rounds."""
+    """Steps of the solver in all rounds."""
     converged: bool = False
     """Whether the last round ended at a minimum rather than after its last step."""
 

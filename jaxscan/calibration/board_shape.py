@@ -165,7 +165,7 @@ def _moving(modes: BoardModes, count: int) -> np.ndarray:
 def _left_out(
     result: Adjustment, normal: _Normal, whole: np.ndarray, gradient: np.ndarray, kept: np.ndarray
 ) -> HeldOut:
-    """With some of the unknowns alone."""
+    """The residuals of the views left out, with some of the unknowns alone."""
     owner = np.asarray(result.problem.placement)
     used = np.any(result.corner_inlier, axis=1)
     fold = np.full(len(normal.information), -1)
@@ -267,7 +267,7 @@ def _lifted(twist: np.ndarray, extra: BoardModes, frame: np.ndarray) -> Float[np
 
 
 def _regular(information: np.ndarray) -> np.ndarray:
-    """With 1 on the diagonal of placements that nobody saw."""
+    """The information with 1 on the diagonal of placements that were not seen."""
     empty = np.trace(information, axis1=1, axis2=2) == 0
     return information + empty[:, None, None] * np.eye(information.shape[-1])
 

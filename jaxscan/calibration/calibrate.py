@@ -58,12 +58,12 @@ class Estimate:
     shape: ShapeChoice
     """The shape of the board that was freed in it."""
     observations: Observations
-    """With those lines alone on the boards that were taken for the lasers'."""
+    """Observations with those lines alone on the boards that were taken for the lasers'."""
     given: Observations
     """Observations of the same lasers, before lines were left out."""
     rig: Rig
     camera: AbstractCamera
-    """With its size, and without coefficients that were not requested."""
+    """The camera with its size, and without coefficients that were not requested."""
     seconds: float
     hand: AbstractMotion | None = None
     """First values of the place of the camera on a hand whose poses are given."""

@@ -150,16 +150,14 @@ def check_poses(
     """
     if len(given) < _VIEWS:
         return
-    found = _closed_form(given, seen, board)
-    if not found.fits:
-        other = _closed_form(np.linalg.inv(given), seen, board)
-        if other.fits and other.angle < _BETTER * found.angle:
-            raise CalibrationError(
-                f"The given poses turn otherwise than the boards, by {np.degrees(found.angle):.1f} degrees, and fit to "
-                f"{np.degrees(other.angle):.2g} degrees if the hand carried the board before a camera that stood "
-                "still: give the inverse of every pose (those of the base, seen from the hand); the place that is then "
-                "found is that of the camera in the robot's base, and points are those of the hand."
-            )
+    found, other = (_closed_form(poses, seen, board) for poses in (given, np.linalg.inv(given)))
+    if other.fits and other.angle < _BETTER * found.angle and other.resized < _BETTER * found.resized:
+        raise CalibrationError(
+            f"The given poses turn otherwise than the boards, by {np.degrees(found.angle):.2g} degrees, and fit to "
+            f"{np.degrees(other.angle):.2g} degrees if the hand carried the board before a camera that stood still: "
+            "give the inverse of every pose (those of the base, seen from the hand); the place that is then found is "
+            "that of the camera in the robot's base, and points are those of the hand."
+        )
     if found.fits and abs(found.size - 1.0) > _SIZES and found.resized < _BETTER * found.place:
         raise CalibrationError(
             f"The given poses fit a board that is {found.size:.3g} times as large as `[board]` says: to "

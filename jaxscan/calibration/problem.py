@@ -283,7 +283,7 @@ def board_points(problem: Problem) -> Float[Array, "corners 3"]:
 
 
 def corner_pixels(problem: Problem) -> Float[Array, "views corners 2"]:
-    """Where all corners should be seen [px]; of an array at the place of a view without corners nothing is promised."""
+    """Where all corners should be seen [px]; values of a view without corners have no meaning."""
     points, poses = board_points(problem), camera_from_board(problem)
     return problem.camera.project(transform(poses[:, None], points[None]))
 

@@ -112,10 +112,10 @@ class ModelTest:
     name: str
     """"lens", "board", "paper", "table", "axis", "sheet", "halves", "regions" or "lines"."""
     statistic: float
-    """With the sigmas that the detectors promise."""
+    """The test's statistic with the sigmas that the detectors state."""
     dof: int
     p: float
-    """Probability of more by chance, if the promised sigmas are right."""
+    """Probability of more by chance, if the stated sigmas are right."""
     p_structure: float
     """The same with the noise that was estimated, so that structure alone counts."""
     effect_mm: float | None = None
@@ -325,13 +325,13 @@ class Quality:
     corner_rms_px: float | None = None
     """Root mean square corner distance of the corners in the solve, as `cv2.calibrateCamera` counts it."""
     corner_rms_all_px: float | None = None
-    """With the rejected ones."""
+    """The same with the rejected ones."""
     stripe_rms_px: float | None = None
     corner_rms_whitened: float | None = None
-    """In units of the promised sigmas, per degree of freedom [1]."""
+    """Root mean square of the corners in units of the stated sigmas, per degree of freedom [1]."""
     stripe_rms_whitened: float | None = None
     corner_noise_over_sigma: float | None = None
-    """Estimated noise over the promised sigmas [1]."""
+    """Estimated noise over the stated sigmas [1]."""
     stripe_noise_over_sigma: float | None = None
     stripe_noise_by_contrast: dict[str, float] | None = None
     """The same of the points of each contrast class, of classes with kept points [1]."""

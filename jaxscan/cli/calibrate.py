@@ -225,7 +225,7 @@ def _numbers(option: str, words: Sequence[str], count: int, meaning: str) -> np.
 
 
 STYLES = {"good": "bold green", "plain": "bold", "bad": "bold red", "open": "bold yellow"}
-"""Of verdicts, by their kind."""
+"""How verdicts are printed, by their kind."""
 
 
 def print_summary(out: Terminal, calibration: "Calibration", *, verbose: bool = False) -> None:

@@ -34,7 +34,6 @@ from jaxscan.errors import CloudError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import capture as capture_files
 from jaxscan.files import clouds as cloud_files
-from jaxscan.files import recording
 
 
 if TYPE_CHECKING:
@@ -140,6 +139,9 @@ def _convert_calibration(source: Path, target: Path, camera_format: CameraFormat
 def _convert_capture(source: Path, target: Path, camera_format: CameraFormat | None, storage: Storage | None) -> None:
     if camera_format is not None:
         raise OptionError(f"--format: is for calibrations (.json), and {source} is a folder.")
+    # Here, so that `--help` does not load it.
+    from jaxscan.files import recording
+
     if storage is None:
         raise OptionError(f"--storage: is needed to convert the capture {source}: {', '.join(recording.STORAGES)}.")
     recording.check_new_folder(target)

@@ -84,11 +84,7 @@ def demo(*, output: Annotated[Path, Arg(short="-o")] = Path("demo")) -> None:
     comparison = api.compare_clouds(cloud, true_cloud, scanner=scanner)
     # The demo's room is longer than it is wide.
     size = {} if config.room is None else dict(zip(("width", "length", "height"), config.room.size_m, strict=True))
-    room = [
-        _entry(name, side.value_m, size[name], side.sigma_m)
-        for name in ("length", "width", "height")
-        if name in size and (side := getattr(box, name)) is not None
-    ]
+    room = [_entry(name, side.value_m, size[name], side.sigma_m) for name, side in box.sides.items() if name in size]
     lengths = _length_rows(cloud, true_cloud, _true_lengths(made.truth), scanner)
     parameters = _calibration_rows(scanner, simulation.true_scanner(config))
     seconds["measure"] = time.perf_counter() - lap

@@ -23,13 +23,15 @@ def open_standard_files() -> None:
 
 
 def hush_libraries() -> None:
-    """Before they are loaded: silence those messages of libraries that jaxscan answers itself."""
+    """Before libraries are loaded: silence the messages that jaxscan answers itself, and the search for plugins."""
     # An image that OpenCV cannot decode is an error of ours, with the file's name.
     os.environ.setdefault("OPENCV_LOG_LEVEL", "SILENT")
     os.environ.setdefault("OPENCV_FFMPEG_LOGLEVEL", "-8")
     # XLA's and absl's notes on their own work; errors are shown.
     os.environ.setdefault("TF_CPP_MIN_LOG_LEVEL", "2")
     os.environ.setdefault("GLOG_minloglevel", "2")
+    # Looking for plugins, of which we have none, reads the description of every installed package.
+    os.environ.setdefault("PYDANTIC_DISABLE_PLUGINS", "__all__")
 
 
 def choose_caches() -> None:

@@ -37,7 +37,7 @@ class Entry(NamedTuple):
     choices: tuple[str, ...] = ()
     required: bool = False
     kind: type = str
-    """Of one value."""
+    """Type of one value."""
     many: int | None = 1
     """How many values there are; None for any number of them."""
     unshown: tuple[str, ...] = ()
@@ -82,7 +82,7 @@ def _entry(parameter: inspect.Parameter, hint: Any, texts: Mapping[str, str]) ->
         value += " ..."
     if choices and "|" not in value:
         text = f"{text} One of {', '.join(choices)}."
-    if default not in (None, parameter.empty, ()):
+    if default not in (None, parameter.empty, (), ""):
         shown = " ".join(map(str, default)) if isinstance(default, tuple) else str(default)
         text = f"{text} Default: {'this folder' if default == Path() else shown}."
     names = () if positional else (*filter(None, [mark.short]), option)

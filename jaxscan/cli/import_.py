@@ -9,7 +9,7 @@ from jaxscan.cli.options import Carries, ImageUp, LaserColour, PixelFormat, Stri
 from jaxscan.cli.progress import progress_bar
 from jaxscan.cli.terminal import Terminal, console, emit_json
 from jaxscan.errors import OptionError
-from jaxscan.files import importing, recording
+from jaxscan.files import importing
 from jaxscan.geometry.motion_kinds import MOTIONS, PoseFormat, PoseUnit
 
 
@@ -99,7 +99,10 @@ def import_(
     if output is None and not show:
         raise OptionError("-o: is needed: the folder of the new capture; --show only shows what would be imported.")
     if output is not None:
-        recording.check_new_folder(output)
+        # Here, so that `--help` does not load it.
+        from jaxscan.files.recording import check_new_folder
+
+        check_new_folder(output)
     unit = "rad" if carries is None else MOTIONS[carries].unit
     _fits("--carries", "linear", unit == "m", {"--step-mm": step_mm, "--positions": positions})
     _fits(

@@ -14,9 +14,10 @@ from jaxscan.cli.help import Arg
 from jaxscan.cli.options import CLOUD_SUFFIXES, check_paths
 from jaxscan.cli.project import counted, in_words
 from jaxscan.cli.terminal import console, emit_json
-from jaxscan.errors import ConfigError, OptionError
+from jaxscan.errors import CloudError, ConfigError, OptionError
 from jaxscan.files import calibration as calibration_files
 from jaxscan.files import disk
+from jaxscan.files.products import PRODUCTS, describe_product
 from jaxscan.geometry.motion_kinds import MOTIONS
 
 
@@ -28,7 +29,7 @@ def info(file: Annotated[Path, Arg("FILE")], /) -> None:
     """Say what a file is: `jaxscan info room.ply`.
 
     A cloud, a calibration, a capture, a project or a configuration: its size and age, its frame and unit, what it was
-    made of, and how good it is.
+    made of, and how good it is. A mesh, a drawing or a report: how large it is.
 
     Args:
         file: The file, or the folder of a capture.
@@ -40,12 +41,14 @@ def info(file: Annotated[Path, Arg("FILE")], /) -> None:
         facts = _of_calibration(file)
     elif file.suffix.lower() == ".toml":
         facts = _of_toml(file)
+    elif (product := describe_product(file, error=CloudError)) is not None:
+        facts = product
     elif file.suffix.lower() in CLOUD_SUFFIXES.split():
         facts = _of_cloud(file)
     else:
         raise OptionError(
-            f"{file}: expected a cloud ({CLOUD_SUFFIXES}), a calibration (.json), a project or configuration (.toml), "
-            "or the folder of a capture."
+            f"{file}: expected a cloud ({CLOUD_SUFFIXES}), a mesh, drawing or report ({PRODUCTS}), a calibration "
+            "(.json), a project or configuration (.toml), or the folder of a capture."
         )
     files = [one for one in file.rglob("*") if one.is_file()] if file.is_dir() else [file]
     status = [one.stat() for one in files]
@@ -146,6 +149,8 @@ def _line(name: str, value: Any) -> str:
         return f"size: {value / 1e6:.1f} MB" if value >= 1e5 else f"size: {value / 1e3:.1f} kB"
     if name in ("from", "to"):
         return f"{name}: {' '.join(f'{number:.3f}' for number in value)} m"
+    if name == "sheet_mm":
+        return f"sheet: {value[0]} x {value[1]} mm"
     what, _, unit = name.rpartition("_")
     label = name.replace("_", " ")
     if unit == "m":

@@ -58,14 +58,13 @@ def room(
     points, said = upright(cloud, unit, up)
     notes += said
     box = jaxscan.measure_room(points, scanner=scanner)
-    sides = {name: side for name in ("length", "width", "height") if (side := getattr(box, name)) is not None}
     notes += [f"a dimension is left out: {remark}." for remark in box.remarks]
-    result = finite({name: dataclasses.asdict(side) for name, side in sides.items()})
+    result = finite({name: dataclasses.asdict(side) for name, side in box.sides.items()})
     columns = ("", "m", "sigma mm", "wall RMS mm", "points", "not parallel by")
     rows = [
         (name, f"{side.value_m:.4f}", f"{1e3 * side.sigma_m:.2f}", f"{1e3 * side.rms_m:.2f}", f"{side.points}")
         + (f"{side.angle_deg:.3f}°",)
-        for name, side in sides.items()
+        for name, side in box.sides.items()
     ]
     more = "sigma covers the noise of the points only; with --calibration it also covers the calibration."
     _say([table("Room", columns, rows), *([more] if scanner is None else [])], result, notes)

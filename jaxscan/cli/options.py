@@ -67,7 +67,7 @@ LaserColour = Literal["auto", "red", "green", "blue"]
 StripeAxis = Literal["rows", "columns"]
 ImageUp = Literal["-v", "+v", "+u", "-u"]
 CLOUD_SUFFIXES = " ".join(FORMATS)
-"""Suffixes of `jaxscan.files.clouds.WRITERS`, written out so that `--help` does not load the readers and writers."""
+"""Suffixes of all formats of clouds, as help and messages show them."""
 CloudOutputPath = Annotated[
     Path,
     Arg(short="-o", text=f"Cloud to write; the suffix chooses the format ({CLOUD_SUFFIXES})."),

@@ -29,7 +29,7 @@ def remember_pace(task: str, seconds: float) -> None:
     paces = dict([*kept.items(), (task, seconds)][-_MOST_TASKS:])
     # Without it the next estimate is a coarse one; no task fails for that.
     with suppress(OSError, JaxscanError):
-        file.parent.mkdir(parents=True, exist_ok=True)
+        disk.make_folder(file.parent)
         disk.write_atomically(file, json.dumps(paces).encode(), durable=False)
 
 

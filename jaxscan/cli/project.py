@@ -78,7 +78,7 @@ def init(
 
 _ORDER = ("failed", "stale", "missing", "done")
 _MOST_ROWS = 60
-"""Of the table; of more steps, only those that are not done, and so many of them."""
+"""Most rows of the table; where there are more steps, only those that are not done are listed."""
 
 
 def status(project: ProjectPath = Path("project.toml"), /, *, all: bool = False) -> None:
@@ -247,7 +247,7 @@ class BatchDisplay:
     """Lines for steps that fail, and bars for those at work; without a terminal a line for each that is done."""
 
     def __init__(self, out: Terminal, bars: Progress | None, steps: int) -> None:
-        """Args: where lines go, bars that are shown or None, and the number of steps."""
+        """Print lines to `out`, and show so many steps on `bars`, if there are any."""
         self._out, self._bars = out, bars
         self._tasks: dict[str, TaskID] = {}
         self._all = None if bars is None else bars.add_task("all steps", total=steps)

@@ -153,15 +153,13 @@ def write_room_report(
             doubts, left_out = look_again(sweep, scanner, progress)
     beside = reports.Beside(cloud.name, tuple(notes), tuple(rows), doubts, left_out)
     facts, box = save_report(points, output, scanner=scanner, beside=beside)
-    sides = {} if box is None else {"length": box.length, "width": box.width, "height": box.height}
+    sides = {} if box is None else box.sides
     seen = facts.directions[0]
     return {
         "cloud": str(cloud),
         "report": str(output),
         "points": facts.points,
-        "dimensions": {
-            name: {"value_m": side.value_m, "sigma_m": side.sigma_m} for name, side in sides.items() if side is not None
-        },
+        "dimensions": {name: {"value_m": side.value_m, "sigma_m": side.sigma_m} for name, side in sides.items()},
         "coverage": seen.share(of_band=True),
         "holes": len(seen.holes()),
         "median_sigma_m": facts.median_sigma_m,

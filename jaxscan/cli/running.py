@@ -140,7 +140,7 @@ class LogLines:
     level = logging.WARNING
 
     def __init__(self, say: Callable[[str], None], now: Callable[[], float] = time.monotonic) -> None:
-        """Args: what prints a line, and the time [s]."""
+        """Print lines by `say`; `now` gives the time [s]."""
         self._say, self._now = say, now
         self._lock = threading.Lock()
         self._said: dict[tuple[str, str, int], tuple[float, int]] = {}

@@ -114,7 +114,7 @@ class ScanPlan(NamedTuple):
     bytes: int
     notes: tuple[str, ...] = ()
     work: tuple[int, ...] = ()
-    """Of boards: the part of the work that is done after each number of records, from 0. A board that is brought into
+    """For boards: the part of the work that is done after each number of records, from 0. A board that is brought into
     another pose takes longer than a record."""
 
     @classmethod

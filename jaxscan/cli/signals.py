@@ -118,7 +118,7 @@ def _end(name: str) -> bool:
         pass  # Nobody listens.
     try:
         # Looked up, not imported: a module that is not loaded has no partial files.
-        clean = getattr(sys.modules.get("jaxscan.files.disk.atomic"), "forget_partials", None)
+        clean = getattr(sys.modules.get("jaxscan.files.disk.writing"), "forget_partials", None)
         if clean is not None:
             clean()
     finally:

@@ -86,9 +86,9 @@ class Text:
     """Its middle, or the middle of its left end [2], m; on paper mm."""
     words: str
     height: float
-    """Of its capital letters, in the unit of `at`."""
+    """Height of its capital letters, in the unit of `at`."""
     angle: float = 0.0
-    """Of the line of text to x, anticlockwise [rad]."""
+    """Angle from x to the line of text, anticlockwise [rad]."""
     align: Literal["middle", "left"] = "middle"
 
     def box(self, margin: float = 0.0) -> np.ndarray:
@@ -115,7 +115,7 @@ class DimensionLine:
     value: str
     sigma: str
     shift: np.ndarray = field(default_factory=lambda: np.zeros(2))
-    """Of the texts from the middle of the line, as it is read: to the right and upwards [2], m."""
+    """Shift of the texts from the middle of the line, as it is read: to the right and upwards [2], m."""
 
     @property
     def words(self) -> str:
@@ -135,7 +135,7 @@ class DimensionLine:
 
     @property
     def angle(self) -> float:
-        """Of its texts [rad]; they are read from below or from the right, and walls are never quite upright."""
+        """Angle of its texts [rad]; they are read from below or from the right, and walls are never quite upright."""
         along = self.end - self.start
         angle = float(np.arctan2(along[1], along[0]))
         return angle + np.pi * (angle > np.pi / 2 + 0.1 or angle < -np.pi / 2 + 0.1)

@@ -38,7 +38,7 @@ class Survey:
 
     def walls(self) -> Iterator["Wall"]:
         """All sides of all loops, from corner to corner on the floor."""
-        for loop, corners, openings in zip(self.outline.cells, self.outline.corners(), self.openings, strict=True):
+        for loop, corners, openings in zip(self.outline.loops, self.outline.corners(), self.openings, strict=True):
             at = np.array([corner.at[:2] for corner in corners])
             yield from map(Wall, loop, at, np.roll(at, -1, 0), openings)
 

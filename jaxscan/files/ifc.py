@@ -16,9 +16,9 @@ from jaxscan.measurement.outline import Estimate, Opening
 
 
 THICKNESS_M = 0.1
-"""Of walls: a convention, since nobody saw how thick they are [m]."""
+"""Thickness of walls [m]: a convention, since nobody saw how thick they are."""
 LEAF_M = 0.04
-"""Of doors, windows and panels, by convention too [m]."""
+"""Thickness of doors, windows and panels [m], also a convention."""
 NOT_MEASURED = (
     f"The inner face of the wall is measured. Its thickness of {THICKNESS_M:g} m, outwards, is a convention: a scan "
     "from within does not know it."

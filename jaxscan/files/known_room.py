@@ -52,7 +52,7 @@ class StationTable(FileModel):
     """Where the rig stood for the second sweep, the third, and so on."""
 
     at: _Point
-    """In the frame of the first station [m], good to half a metre."""
+    """Its place in the frame of the first station [m], good to half a metre."""
     yaw_deg: Annotated[Number, pydantic.Field(ge=-360, le=360)]
     """Its turn about the axis, from the first station's x towards its y, good to ten degrees."""
 

@@ -89,7 +89,7 @@ def write_boards(
 
     Args:
         config: The rig, its surroundings and its boards.
-        folder: Of `new_simulation`.
+        folder: The one of `new_simulation`.
         records: The records, rendered as they are asked for.
         progress: Called with (pairs done, pairs in all).
     """
@@ -111,7 +111,7 @@ def write_sweep(
 
     Args:
         config: The rig, its surroundings and its plan.
-        folder: Of `new_simulation`.
+        folder: The one of `new_simulation`.
         records: The records, rendered as they are asked for.
         every: The sweep has only every n-th step.
         progress: Called with (pairs done, pairs in all).

@@ -21,9 +21,9 @@ class TargetTable(FileModel):
 
     name: _Name
     scanner: tuple[_Seen, _Seen, _Seen]
-    """In the frame of the cloud [m]."""
+    """Its place in the frame of the cloud [m]."""
     site: tuple[_Known, _Known, _Known]
-    """In the frame that is wanted [m]."""
+    """Its place in the frame that is wanted [m]."""
 
 
 class TargetsTable(FileModel):
@@ -47,7 +47,7 @@ def load_targets(path: str | Path) -> tuple[list[str], np.ndarray, np.ndarray]:
         path: A TOML file; see docs/formats.md.
 
     Returns:
-        names: Of the targets.
+        names: The names of the targets.
         scanner, site: Their coordinates [m], float64 [targets, 3].
 
     Raises:

@@ -20,19 +20,22 @@ if TYPE_CHECKING:
         known_dictionary,
     )
     from jaxscan.geometry.cameras import CAMERAS, AbstractCamera, CameraModel, DoubleSphere, Fisheye, Pinhole
-    from jaxscan.geometry.covariance import root_of, square_root
     from jaxscan.geometry.fit import (
         MEDIAN_TO_SIGMA,
         AxisFit,
         PlaneFit,
         PrincipalAxes,
+        apply_homography,
+        direct_homography,
         fit_axis,
         fit_plane,
+        fixes_plane,
         median_sigma,
         plane_sigma,
         principal_axes,
+        root_of,
+        square_root,
     )
-    from jaxscan.geometry.homography import apply_homography, direct_homography, fixes_plane
     from jaxscan.geometry.kinematics import lit_points, lit_slopes, pixels, points, poses, rays, slopes
     from jaxscan.geometry.laser import LaserSheet, stack_lasers
     from jaxscan.geometry.motion_kinds import MOTIONS, Carries

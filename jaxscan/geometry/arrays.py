@@ -15,7 +15,7 @@ import numpy as np
 
 Array = jax.Array | np.ndarray
 Component = jax.Array | np.ndarray | np.floating
-"""One coordinate of points; of one point NumPy makes a number of it."""
+"""One coordinate of points; for a single point NumPy gives a number."""
 
 MAX_PIXELS = 100_000_000
 """Largest image that is decoded, accepted from a header, or set on a camera."""

@@ -268,7 +268,7 @@ class Circles(AbstractBoard):
     """Circles in a row."""
     rows: int = eqx.field(static=True)
     square: float = eqx.field(static=True)
-    """Spacing: distance of two rows; of neighbours in a row too, or, asymmetric, half of that [m]."""
+    """Distance of two rows [m]. Neighbours in a row are as far apart, or, in an asymmetric grid, twice as far."""
     diameter: float = eqx.field(static=True)
     """Diameter of a circle [m]."""
     layout: Literal["asymmetric", "symmetric"] = eqx.field(static=True, default="asymmetric")

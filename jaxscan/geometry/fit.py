@@ -1,9 +1,9 @@
-"""Closed-form fits: principal axes of points, a plane through them, the axis of a rotation; scatter by the median."""
+"""Closed-form fits: principal axes, planes, axes of rotations, homographies; medians, and roots of covariances."""
 
 from typing import NamedTuple
 
 import numpy as np
-from jaxtyping import Float
+from jaxtyping import Bool, Float
 
 from jaxscan.geometry.arrays import Array
 
@@ -178,3 +178,100 @@ def _axis_of_motions(motions: np.ndarray) -> AxisFit:
     point = point - (direction @ point) * direction
     misfit = turn @ point + shift
     return AxisFit(direction, point, float(np.sqrt((misfit**2).sum(1).mean())))
+
+
+# Roots of covariances and of informations, in units of each parameter's own size.
+
+
+# Relative eigenvalue of a matrix of unit diagonal that counts as rounding: its direction is dropped.
+_SINGULAR = 1e-13
+
+
+class Root(NamedTuple):
+    """A square root R of a matrix, R' R, by its eigenvectors; the smallest eigenvalues come first."""
+
+    steps: Float[np.ndarray, "params params"]
+    """R: one direction a row, of the length of one standard deviation where the matrix is a covariance; 0 where there
+    is none."""
+    inverse: Float[np.ndarray, "params params"]
+    """Its pseudo-inverse."""
+
+
+def square_root(matrix: Float[np.ndarray, "params params"]) -> Root:
+    """The root of a symmetric matrix without negative directions; rows of 0 are parameters that are held."""
+    size = np.sqrt(np.maximum(np.diag(matrix), 0.0))
+    # Pixels and radians differ by a million: in units of their own sizes all directions are comparable.
+    unit = np.where(size > 0, size, 1.0)
+    values, axes = np.linalg.eigh(np.where(np.outer(size, size) > 0, matrix / np.outer(unit, unit), 0.0))
+    there = values > _SINGULAR * max(values[-1], 1.0) if len(values) else values > 0
+    root = np.sqrt(np.where(there, values, 1.0))
+    return Root(np.where(there, axes * root, 0.0).T * size, np.where(there, axes / root, 0.0) / unit[:, None])
+
+
+def root_of(covariance: Float[np.ndarray, "params params"]) -> Float[np.ndarray, "params params"]:
+    """Steps, one a row, whose outer products add up to a covariance."""
+    return square_root(covariance).steps
+
+
+# Maps between two planes.
+
+
+_MIN_POINTS = 6
+
+
+def direct_homography(
+    points: Float[np.ndarray, "*#views n 2"],
+    seen: Float[np.ndarray, "*views n 2"],
+    keep: Bool[np.ndarray, "*views n"] | None = None,
+) -> Float[np.ndarray, "*views 3 3"]:
+    """Homography between points of two planes, by the normalised direct linear transformation.
+
+    Args:
+        points: Points of the first plane, at least four, no three of them on one line.
+        seen: The corresponding points of the second plane.
+        keep: Those that count; None: all.
+
+    Returns:
+        The map in homogeneous coordinates; its first two columns together have length 1.
+
+    Source: Hartley and Zisserman, Multiple View Geometry, algorithm 4.2.
+    """
+    keep = np.ones(seen.shape[:-1], bool) if keep is None else keep
+    (to_points, x), (to_seen, u) = _normalised(np.broadcast_to(points, seen.shape), keep), _normalised(seen, keep)
+    rows = [np.concatenate([x, 0.0 * x], -1), np.concatenate([0.0 * x, x], -1)]
+    system = np.concatenate([np.concatenate([rows[k], -u[..., k : k + 1] * x], -1) for k in (0, 1)], axis=-2)
+    # The triangle of its QR decomposition has the same null vector, and is small.
+    homography = np.linalg.svd(np.linalg.qr(system, mode="r"))[2][..., -1, :].reshape(*seen.shape[:-2], 3, 3)
+    homography = np.linalg.inv(to_seen) @ homography @ to_points
+    return homography / np.linalg.norm(homography[..., :2], axis=(-2, -1), keepdims=True)
+
+
+def apply_homography(
+    homography: Float[np.ndarray, "*views 3 3"], points: Float[np.ndarray, "*#views n 2"]
+) -> Float[np.ndarray, "*views n 2"]:
+    """Points mapped to the other plane; a point at infinity becomes a large number."""
+    mapped = _homogeneous(points) @ np.swapaxes(homography, -1, -2)
+    return mapped[..., :2] / np.where(np.abs(mapped[..., 2:]) < 1e-12, 1e-12, mapped[..., 2:])
+
+
+def fixes_plane(points: Float[np.ndarray, "n 2"]) -> bool:
+    """Whether points of a plane fix a pose or a homography: six or more that are not on one line."""
+    if len(points) < _MIN_POINTS:
+        return False
+    # On a grid even the narrowest spread beside a line is large.
+    spread = np.linalg.svd(points - points.mean(0), compute_uv=False)
+    return bool(spread[1] > 0.05 * spread[0])
+
+
+def _homogeneous(points: np.ndarray) -> np.ndarray:
+    return np.concatenate([points, np.ones_like(points[..., :1])], axis=-1)
+
+
+def _normalised(points: np.ndarray, keep: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+    """A map to coordinates of size 1 about the middle, and the points in them; points that do not count are 0."""
+    weight = keep[..., None] / np.maximum(keep.sum(-1), 1)[..., None, None]
+    centre = np.sum(weight * points, axis=-2, keepdims=True)
+    size = np.maximum(np.sqrt(np.sum(weight * (points - centre) ** 2, axis=(-2, -1)) / 2.0), 1e-12)[..., None]
+    to = np.tile(np.eye(3), (*size.shape[:-1], 1, 1))
+    to[..., :2, 2], to[..., [0, 1], [0, 1]] = -centre[..., 0, :] / size, 1.0 / size
+    return to, keep[..., None] * _homogeneous((points - centre) / size[..., None])

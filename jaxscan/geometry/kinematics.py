@@ -1,4 +1,4 @@
-r"""Where a pixel's ray is, where it meets the laser, how that follows the pixel; and at which pixel a point is seen.
+r"""Rays of pixels, the points where they meet the laser, with derivatives, and the pixels at which points are seen.
 
 With the ray $v(q)$ of the camera, the sheet's distance $d$ and incidence $m$, and the pose $T(\varphi)$ of the motion,
 the point of a stripe is

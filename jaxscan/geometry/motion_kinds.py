@@ -12,13 +12,13 @@ class MotionKind(NamedTuple):
     motion: str
     """Its class in `motions.py`."""
     unit: Literal["rad", "m", "pose", ""]
-    """Of its positions; of given poses a position is the number of the record."""
+    """Unit of its positions; where poses are given a position is the number of the record."""
     part: str
     """The part that is solved."""
     blocks: tuple[str, ...]
-    """Names of its blocks of unknowns, of which `--help` has its choices."""
+    """Names of its blocks of unknowns; `--free` and `--hold` offer them."""
     stops: str
-    """Its positions, in words."""
+    """Name of its positions in messages."""
     least: float
     """Positions closer than this are one stop [rad or m]."""
     capture: str

@@ -36,7 +36,7 @@ SLOWEST = 1e-6  # The least gain.
 _GAINS = (0.8, 1.25)
 # Boards in front of a linear stage do not turn; poses from a first camera may be off by up to this.
 _MAX_TILT_DEG = 5.0
-# Turns of the hand about a second direction from which its camera's place is told [rad].
+# Turns of the hand about a second direction that suffice to find the place of its camera [rad].
 _LEAST_TURN = 0.03
 _UNMOVED = "that records with the same `placement` saw the board unmoved"
 
@@ -46,7 +46,7 @@ class Field(NamedTuple):
 
     shape: tuple[int, ...]
     default: Any = ...
-    """Where the file does not have them; without one they are required."""
+    """The numbers where the file has none; without a default they are required."""
 
 
 _GAIN = Field((), 1.0)
@@ -61,7 +61,7 @@ class Described(NamedTuple):
     values: tuple[float, ...]
     sigma: float
     unit: str
-    """Of values and sigma; "direction" of a unit vector whose sigma is in mrad."""
+    """Unit of values and sigma; "direction" for a unit vector, whose sigma is in mrad."""
 
 
 class AbstractMotion(ArrayModule):
@@ -330,7 +330,7 @@ class Hand(AbstractMotion):
 
     @staticmethod
     def of_boards(poses: Float[np.ndarray, "2 pairs 4 4"], change: Float[np.ndarray, "pairs 4 4"]) -> "Hand":
-        """From the motions of the hand and those of the camera, $A X = X B$; rotations first.
+        """Solve $A X = X B$ for the motions of the hand and of the camera; rotations first.
 
         Source: Park and Martin, Robot sensor calibration (1994), with the nearest rotation to the sum.
         """
@@ -348,7 +348,7 @@ class Hand(AbstractMotion):
         return Hand.mounted(np.asarray(rigid(rotation, np.linalg.lstsq(left, right, rcond=None)[0])))
 
     def along(self, path: Float[np.ndarray, "records 4 4"] | None) -> "Hand":
-        """With the poses of a capture's records, T_base_hand."""
+        """The same hand with the poses of a capture's records, T_base_hand."""
         return self if path is None else Hand(self.hand_cam, self.scatter, path)
 
     def described(self, sigma: Mapping[str, float]) -> list[Described]:

@@ -15,7 +15,7 @@ from jaxscan.geometry.scanner import Scanner
 
 
 _ACROSS = 33
-"""Pixels across an image that are looked through."""
+"""Pixels across an image that are tested."""
 _WIDE_DEG, _NARROW_DEG = 160.0, 0.5
 """Angles of view that a lens of the pinhole model does not have."""
 _OFF_CENTRE = 0.35
@@ -65,7 +65,8 @@ def camera_doubts(camera: AbstractCamera) -> list[Doubt]:
 def scanner_doubts(scanner: Scanner) -> list[Doubt]:
     """Numbers of a scanner that do not fit one another.
 
-    Of every laser the light that the camera can see is looked at: where it is, and where the axis is from there.
+    For every laser the part of its light that the camera can see is tested: where it is, and where the axis is from
+    there.
     """
     doubts = camera_doubts(scanner.camera)
     if any(doubt.impossible for doubt in doubts):

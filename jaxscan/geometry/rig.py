@@ -79,10 +79,6 @@ class Rig(ArrayModule):
         numbers = tuple(map(str, range(self.lasers.distance.shape[-1])))
         return make_layout(self.camera, numbers, motion=self.motion.blocks)
 
-    def parameter_count(self) -> int:
-        """Number of the minimal coordinates: of the camera, of the sheets, of the motion."""
-        return len(self.layout().names)
-
     def retract(self, step: Float[Array, " params"]) -> "Rig":
         """The rig moved by `step` in its minimal coordinates [px, rad, m]."""
         layout = self.layout()

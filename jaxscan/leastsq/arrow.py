@@ -205,10 +205,10 @@ class Normal(NamedTuple):
     gradient: Float[Array, "owners numbers"]
     """J'r."""
     block: Int[Array, " owners"] | None = None
-    """Which block; None where they meet none, and have no derivatives by one."""
+    """The block of each owner; None where they meet none, and have no derivatives by one."""
     chain: Float[Array, "owners numbers unknowns"] | None = None
-    """Where J has derivatives by other numbers of the owner: those of these by the unknowns. Thousands of residuals
-    may share a few such numbers."""
+    """Derivatives of the owner's numbers by the unknowns, where J has derivatives by such numbers. Thousands of
+    residuals may share a few of them."""
 
 
 def sum_arrow(parts: Sequence[Normal], shared: int, blocks: tuple[int, int]) -> Arrow:

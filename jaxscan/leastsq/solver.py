@@ -66,7 +66,7 @@ class _State(eqx.Module):
 
     first: Bool[Array, ""]
     step: Unknowns
-    """From the last accepted point to the one that is evaluated next."""
+    """The step from the last accepted point to the one that is evaluated next."""
     y_eval: Any
     residuals: Any
     linear: Linear
@@ -141,11 +141,7 @@ def _quadratic(residuals: Any, arrow: Arrow) -> Any:
 
 
 def minimise(
-    problem: AbstractProblem,
-    y: Any,
-    damping: Float[Array, ""],
-    tolerance: Float[Array, ""],
-    max_steps: Int[Array, ""],
+    problem: AbstractProblem, y: Any, damping: Float[Array, ""], tolerance: Float[Array, ""], max_steps: Int[Array, ""]
 ) -> Minimum:
     """Minimise half the sum of squares of a problem's residuals; to be compiled, in 64 bit.
 

@@ -19,14 +19,7 @@ if TYPE_CHECKING:
     from jaxscan.measurement.compare import CloudComparison, ErrorStatistics, compare_clouds
     from jaxscan.measurement.deviations import DeviationMap, measure_deviations
     from jaxscan.measurement.frames import RoomFrame, TargetFrame, align_room, align_targets
-    from jaxscan.measurement.outline import (
-        Estimate,
-        Opening,
-        RoomOutline,
-        Side,
-        find_openings,
-        measure_outline,
-    )
+    from jaxscan.measurement.outline import Estimate, Opening, RoomOutline, Side, find_openings, measure_outline
     from jaxscan.measurement.planes import PlaneMeasurement, measure_plane
     from jaxscan.measurement.room import Dimension, RoomBox, measure_room
     from jaxscan.measurement.samples import SIGMA_FLOOR_M, camera_centres

@@ -114,7 +114,7 @@ class HeightMeasurement:
     points: tuple[int, int]
 
     def words(self) -> str:
-        """As people read it."""
+        """The measurement in words."""
         way = "higher" if self.value_m >= 0 else "lower"
         return f"the second is {way} by {length_words(abs(self.value_m), self.sigma_m)}, {_points_words(self.points)}"
 
@@ -210,14 +210,14 @@ class AngleMeasurement:
     """The angle between two flat patches of a cloud, with so many points each; its sigma is predicted."""
 
     value_deg: float
-    """On the side from which the patches were seen: 90 in the corner of a room, 180 where both are one plane."""
+    """Angle on the side from which they were seen: 90 in the corner of a room, 180 where both are one plane."""
     sigma_deg: float
     rms_m: tuple[float, float]
     """Root mean square distance of the points of either patch from its plane [m]."""
     points: tuple[int, int]
 
     def words(self) -> str:
-        """As people read it."""
+        """The measurement in words."""
         flat = " and ".join(f"{1e3 * rms:.2f}" for rms in self.rms_m)
         sigma = f"sigma {self.sigma_deg:.3f} degrees"
         return f"{self.value_deg:.3f} degrees, {sigma}, {_points_words(self.points)}, RMS {flat} mm"
@@ -228,7 +228,9 @@ _LEAST_SINE = 0.02
 _SIGMAS, _ROUNDS = 3.0, 20
 """Points farther from the plane than so many robust standard deviations belong to something else, as a picture or a
 switch on the wall; rounds of leaving them out."""
-_TRIPLES, _LARGE, _LEAST_SHARE = 500, 0.3, 0.5
+_TRIPLES, _LARGE, _LEAST_SHARE, _LEAST_PROFILES = 500, 0.3, 0.5, 3
+"""Triples of points that are tried; how large they are, as a share of the largest; the least share of the points that
+are on the plane, and the least number of profiles: through any two goes a plane, from a wall to a picture on it too."""
 
 
 def measure_angle(
@@ -257,7 +259,10 @@ def measure_angle(
         # an edge it is the direction in which the slope is known least.
         least_known = np.linalg.eigh(plane.covariance[1:, 1:])[1][:, -1]
         slopes = plane.axes @ other.normal / sine if sine > _LEAST_SINE else least_known
-        variance += float(slopes @ plane.covariance[1:, 1:] @ slopes)
+        # A place that is rougher than its noise is a worse plane than its noise says.
+        away = (patch.p - plane.centre) @ plane.normal
+        rough = max(1.0, float(np.sqrt(np.mean(away**2)) / np.median(patch.sigma_across(plane.normal))))
+        variance += rough**2 * float(slopes @ plane.covariance[1:, 1:] @ slopes)
         weights.append(np.outer(slopes @ plane_factors(patch, plane)[1:], plane.normal))
     systematic = systematic_sigma(scanner, places_of(cloud), Samples.joined(patches), np.concatenate(weights))
     sigma = float(np.hypot(np.sqrt(variance), systematic))
@@ -272,7 +277,8 @@ def _flat_part(patch: Samples, point: Point, radius_m: float) -> Samples:
     """The points of a patch that are on its plane: what hangs on a wall does not turn it.
 
     The plane through three of the points from which half of them are least far (least median of squares: Rousseeuw,
-    1984), and then that of the points that are near it. Refused where they are less than half of the points.
+    1984), and then that of the points that are near it. Refused where they are less than half of the points, or lie on
+    two of several profiles.
     """
     corners = patch.p[np.random.default_rng(0).integers(len(patch.p), size=(_TRIPLES, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -295,6 +301,13 @@ def _flat_part(patch: Samples, point: Point, radius_m: float) -> Samples:
         raise MeasurementError(
             f"Less than half of the {len(patch.p)} points within {radius_m} m of {place_words(point)} are on one "
             "plane; pick a flat place."
+        )
+    _, number, count = np.unique(patch.profile, return_inverse=True, return_counts=True)
+    whole = np.bincount(number, inlier) > _LEAST_SHARE * count
+    if len(count) > 1 and np.count_nonzero(whole) < _LEAST_PROFILES:
+        raise MeasurementError(
+            f"Only {np.count_nonzero(whole)} profiles within {radius_m} m of {place_words(point)} are on one plane, "
+            f"expected {_LEAST_PROFILES}; pick a flat place."
         )
     return patch.take(inlier)
 

@@ -67,10 +67,7 @@ class RoomFrame:
 
 
 def align_targets(
-    scanner: Float[np.ndarray, "targets 3"],
-    site: Float[np.ndarray, "targets 3"],
-    *,
-    names: Sequence[str] | None = None,
+    scanner: Float[np.ndarray, "targets 3"], site: Float[np.ndarray, "targets 3"], *, names: Sequence[str] | None = None
 ) -> TargetFrame:
     r"""The rigid motion that brings targets nearest to their known coordinates.
 

@@ -32,7 +32,7 @@ def quads_of(cloud: Cloud) -> Quads:
     profiles, lines = valid.shape
     if profiles < 2 or lines < 2:
         raise MeasurementError(
-            f"The cloud has {profiles} profiles of {lines} lines, so neighbouring points are unknown; a cloud "
+            f"The cloud has {profiles} profiles of {lines} lines, so it is unknown which are neighbours; a cloud "
             "of jaxscan reconstruct is needed, as .ply or .npz."
         )
     laser, angle, number = np.asarray(cloud.laser), np.asarray(cloud.angle, np.float64), places_of(cloud).number

@@ -132,7 +132,7 @@ class PlaneMeasurement:
     points: int
 
     def words(self) -> str:
-        """As people read it."""
+        """The measurement in words."""
         # Nothing is "-0.0000".
         normal = " ".join(f"{x:.4f}" for x in np.round(self.normal, 4) + 0.0)
         return (

@@ -33,7 +33,7 @@ class Dimension:
     sigma_m: float
     sigma_random_m: float
     sigma_systematic_m: float
-    """From the covariance of the calibration [m]; 0 where it is not known."""
+    """The part from the covariance of the calibration [m]; 0 where it is not known."""
     rms_m: float
     points: int
     angle_deg: float
@@ -53,6 +53,12 @@ class RoomBox:
     """Every bounding plane that was found, with its points, normals pointing out of the room."""
     remarks: tuple[str, ...] = ()
     """Why dimensions are left out, where planes were found for them: parts of a sentence."""
+
+    @property
+    def sides(self) -> dict[str, Dimension]:
+        """The dimensions that were found, by name."""
+        named = {"length": self.length, "width": self.width, "height": self.height}
+        return {name: side for name, side in named.items() if side is not None}
 
 
 def measure_room(cloud: Cloud, *, scanner: Scanner | None = None, seed: int = 0) -> RoomBox:

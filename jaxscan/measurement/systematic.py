@@ -26,9 +26,9 @@ class Effects(NamedTuple):
     """How some numbers follow the scanner and the stations; linear, so that sums of numbers have sums of effects."""
 
     scanner: np.ndarray
-    """By the coordinates of the scanner [numbers, parameters]; 0 where it has no covariance."""
+    """Effect of each coordinate of the scanner [numbers, parameters]; 0 where it has no covariance."""
     stations: np.ndarray
-    """By a step (translation [m], rotation [rad]) of each station in its own frame [numbers, stations, 6]."""
+    """Effect of a step (translation [m], rotation [rad]) of each station in its own frame [numbers, stations, 6]."""
 
     def weighted(self, row: np.ndarray) -> "Effects":
         """Effects in the sum of the numbers with these weights [numbers]."""

@@ -107,7 +107,7 @@ def with_speckle(
 ) -> NoiseModel:
     """The noise with speckle as stripes on even print show it: edges of the print would widen the scatter."""
     size = int(on.shape[2]), int(on.shape[1])
-    setup = ExtractionSetup(size, frames, line, _SETTINGS, all_candidates=True)
+    setup = ExtractionSetup(size, frames, line, _SETTINGS, all_candidates=True, faint=False)
     (engine,) = prepare_engines(on, off, [setup], noise=noise)
     engine = engine.own_channel()
     dark = np.asarray(engine.setup.plane(off))
@@ -233,7 +233,7 @@ def _extract(
         near = near[:, None] if deep else near
         on = np.where(near if on.ndim == near.ndim else near[..., None], on, seen.off)
     setup = ExtractionSetup(
-        seen.size, seen.kind, line, _SETTINGS, seen.exposures, 0 if deep else None, all_candidates=True
+        seen.size, seen.kind, line, _SETTINGS, seen.exposures, 0 if deep else None, all_candidates=True, faint=False
     )
     (engine,) = prepare_engines(on, seen.off, [setup], noise=noise)
     stripes = engine.extract_shared(on, seen.off, BATCH_RECORDS)

@@ -19,7 +19,7 @@ from jaxtyping import Bool, Float, Int32, Real, UInt8
 from jaxscan.compiling import compile_wide
 from jaxscan.geometry import Array
 from jaxscan.memory import kept
-from jaxscan.photographs.occluder import Blocks, Distances, Occluder
+from jaxscan.photographs.occluder import AT_ONCE, Blocks, Distances, Occluder
 from jaxscan.photographs.photograph import (
     Lens,
     Photograph,
@@ -235,17 +235,19 @@ def colour_points(
 
         def prepare(photograph: Photograph) -> _Shot:
             shot = _prepared(photograph, lens, pose_at(photograph.angle), occluder)
-            return shot if occluder is None or not settings.exposure else shot._replace(gain=_gain(shot, occluder))
+            if occluder is None or not settings.exposure:
+                return shot
+            return shot._replace(gain=_gain(shot, occluder, blocks.size, settings.tolerance_dn))
 
         def look(few: np.ndarray, shot: _Shot) -> None:
             """Add to the tally of some blocks what the photograph shows of them."""
             before = (_Places(*(field[few] for field in places)), Tally(*(field[few] for field in tally)))
             # JAX keeps this setting per thread.
             with jax.enable_x64(False):
-                after, shown = _looked_up(shot, settings.weighting, *before, settings.tolerance_dn)
+                after, _, weight = _looked_up(shot, settings.weighting, *before, settings.tolerance_dn)
             for field, part in zip(tally, after, strict=True):
                 field[few] = np.asarray(part)
-            seen[few, 0] |= np.asarray(shown)
+            seen[few, 0] |= np.asarray(weight) > 0
 
         def visible(angle: float) -> list[np.ndarray]:
             return blocks.seen_from(pose_at(angle), np.asarray(lens.bounds))
@@ -280,18 +282,28 @@ LEAST_DN = 12.0
 MOST_GAIN = 4.0
 
 
-def _gain(shot: _Shot, occluder: Occluder) -> Float[np.ndarray, "3"]:
+def _gain(shot: _Shot, occluder: Occluder, size: int, tolerance: float) -> Float[np.ndarray, "3"]:
     """Factor for each colour that takes a photograph to the exposure of the stripes around it.
 
     The stripes in a photograph are from photographs on both sides of it, so that errors do not add up along a turn.
+    They are looked up in blocks of a size, those of the points, by the program that looks up these: each other one
+    would be compiled.
     """
-    points, rgb = (np.ascontiguousarray(field.T)[None] for field in occluder.references)
-    with jax.enable_x64(False):
-        colour, weight = (np.asarray(part)[0] for part in _observed(shot, None, _Places(points, np.zeros_like(points))))
-    use = (weight > 0) & (colour > LEAST_DN) & (rgb[0] > LEAST_DN) & (rgb[0] < 250.0)
+    (points, rgb), room = occluder.references, AT_ONCE * size
+    nothing, observed = Tally.start(np.zeros((AT_ONCE, 3, size), np.uint8)), []
+    for start in range(0, len(points), room):
+        # The last blocks are filled up by repetition.
+        some = np.moveaxis(np.resize(points[start : start + room], (room, 3)).reshape(AT_ONCE, size, 3), 1, 2)
+        places = _Places(np.ascontiguousarray(some), np.zeros(some.shape, np.float32))
+        with jax.enable_x64(False):
+            colour, weight = map(np.asarray, _looked_up(shot, None, places, nothing, tolerance)[1:])
+        observed.append(np.concatenate([np.moveaxis(colour, 1, 2).reshape(-1, 3), weight.reshape(-1, 1)], 1))
+    known = np.concatenate([np.zeros((0, 4), np.float32), *observed])[: len(points)]
+    colour, weight = known[:, :3], known[:, 3:]
+    use = (weight > 0) & (colour > LEAST_DN) & (rgb > LEAST_DN) & (rgb < 250.0)
     gain = np.ones(3, np.float32)
     for k in range(3):
-        ratio = rgb[0, k, use[k]] / colour[k, use[k]]
+        ratio = rgb[use[:, k], k] / colour[use[:, k], k]
         if len(ratio) >= LEAST_COMMON:
             middle = len(ratio) // 2
             gain[k] = np.clip(np.partition(ratio, middle)[middle], 1 / MOST_GAIN, MOST_GAIN)
@@ -350,9 +362,6 @@ def _each(function: Callable[..., Any]) -> Callable[..., Any]:
     return jax.vmap(jax.vmap(function, -1, -1))
 
 
-_observed = compile_wide(_observe, sooner=True)
-
-
 @functools.partial(compile_wide, sooner=True)
 def _looked_up(
     shot: _Shot,
@@ -360,11 +369,11 @@ def _looked_up(
     places: _Places,
     tally: Tally,
     tolerance: float | Float[Array, ""],
-) -> tuple[Tally, Bool[Array, "few size"]]:
-    """The tally of points after a photograph, and which of them it shows."""
+) -> tuple[Tally, Float[Array, "few 3 size"], Float[Array, "few size"]]:
+    """The tally of points after a photograph, and their colours and weights in it alone."""
     colour, weight = _observe(shot, bearing, places)
 
     def one(tally: Tally, colour: Float[Array, "3"], weight: Float[Array, ""]) -> Tally:
         return add(tally, colour * shot.gain, weight, tolerance)
 
-    return _each(one)(tally, colour, weight), weight > 0
+    return _each(one)(tally, colour, weight), colour, weight

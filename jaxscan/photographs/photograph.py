@@ -17,7 +17,7 @@ from jaxscan.stripes import PixelFormat
 Use = Literal["points", "pictures"]
 """What photographs are for: colours of measured points, or panoramas, textures and posed images."""
 LEAST: dict[Use, int] = {"points": 60, "pictures": 180}
-"""Photographs of a turn that are looked at, however wide the lens: what is hidden to one is seen by the next."""
+"""Fewest photographs of a turn that are used, however wide the lens: what is hidden in one is seen in the next."""
 OVERLAP: dict[Use, int] = {"points": 8, "pictures": 16}
 """Photographs that show a place, at the least. With three times as many, colours of points in a rendered corner of a
 room are closer to the true ones by 0.1 dB."""
@@ -157,7 +157,7 @@ class Album(Protocol):
 
 @dataclass(frozen=True)
 class Photographs:
-    """Photographs of a calibrated rig, one after the other; each is held only while it is looked at.
+    """Photographs of a calibrated rig, one after the other; each is in memory only while it is used.
 
     Args:
         scanner: The calibrated rig.

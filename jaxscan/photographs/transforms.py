@@ -17,7 +17,7 @@ from jaxscan.photographs.photograph import packed, poses, read_image
 
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""From x right, y down, z forward; its own inverse."""
+"""Turn x right, y down, z forward; it is its own inverse."""
 WIDEST_PINHOLE = np.radians(70.0)
 """Half of the widest field of view that an undistorted image has."""
 

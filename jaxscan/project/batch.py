@@ -40,7 +40,7 @@ class Report(NamedTuple):
     """The outcome of a batch."""
 
     rows: tuple[Row, ...]
-    """Of the steps that were done or failed."""
+    """Rows of the steps that were done or failed."""
     left: Mapping[str, str]
     """Steps that were not begun, with the step that failed before them."""
 

@@ -51,7 +51,7 @@ class Row(NamedTuple):
     host: str
     """Machine and process that did it."""
     version: str
-    """Of jaxscan."""
+    """Version of jaxscan that did it."""
     details: str = ""
     """Where in the program an unexpected error arose."""
 

@@ -50,7 +50,7 @@ def fitting_products(
     """The products of the captures of one table, without those that cannot be made of them, and a note on each kind.
 
     Args:
-        table: Of the captures.
+        table: The table of the captures.
         wanted: What the whole project has.
         captures: Addresses, by name.
         headers: Those that were read before, by address; others are read only if something may be left out.
@@ -114,7 +114,7 @@ class ProjectCapture:
     products: tuple[Product, ...]
     """The wanted products that can be made of a capture."""
     formats: tuple[Format, ...]
-    """Of its cloud."""
+    """Formats of its cloud."""
 
 
 @dataclass(frozen=True)

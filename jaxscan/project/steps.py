@@ -131,7 +131,7 @@ class Status(NamedTuple):
 
     step: Step
     digest: str
-    """Of the step as it would be done now."""
+    """Digest of the step as it would be done now."""
     parts: Mapping[str, str]
     state: State
     why: str
@@ -149,9 +149,9 @@ def states_of(
 
     Args:
         steps: Each after those that it needs.
-        digests: Of each, by key, as it would be done now.
+        digests: Digest of each step as it would be done now, by key.
         parts: What each depends on, by key.
-        rows: Of the catalogue, the oldest first.
+        rows: Rows of the catalogue, the oldest first.
         output: The folder of the products; each product is looked for, and its size compared.
     """
     now = {(row.key, row.digest): row for row in rows}
@@ -168,7 +168,7 @@ def states_of(
 
 
 def _state(parts: Mapping[str, str], row: Row | None, last: Row | None, output: Path) -> tuple[State, str]:
-    """Args: the row of this digest, and the last one of any digest that wrote files or may have."""
+    """The state of a step, by the row of its digest and by the last row of any digest that may have written files."""
     if row is not None and row.state == "failed":
         return "failed", row.message
     if last is None:
@@ -227,7 +227,7 @@ _FILES = {
     "panorama": ("panoramas/{}.jpg", "panoramas/{}.depth.png", "panoramas/{}.normals.png"),
     "report": ("reports/{}.html",),
 }
-"""Of each product that is made of a cloud."""
+"""Files of each product that is made of a cloud."""
 _OF_CAPTURE: Mapping[str, Callable[[Project, ProjectCapture], Mapping[str, Any]]] = {
     "panorama": lambda project, capture: {"every": capture.settings.every},
     "plan": lambda project, capture: {"project": project.wanted.project.name},
@@ -272,7 +272,7 @@ def parts_of(step: Step, digests: Mapping[str, str], code: str) -> dict[str, str
     """The inputs of a product, each by a digest: two products with the same parts are the same.
 
     Args:
-        digests: Of its inputs, by key, and of its sources, by address.
+        digests: Digests of its inputs, by key, and of its sources, by address.
         code: Digest of the code that does it.
 
     Returns:

@@ -1,4 +1,4 @@
-"""One step done in one process: its order as text, its workspace, and the work of each kind."""
+"""One step done in one process: its workspace, and the work of each kind."""
 
 import contextlib
 import json
@@ -400,9 +400,8 @@ MEASURES_FORMAT = "jaxscan-measures/1"
 
 
 def _lengths(box: RoomBox) -> dict[str, Any]:
-    sides = {name: side for name in ("length", "width", "height") if (side := getattr(box, name)) is not None}
     fields = ("value_m", "sigma_m", "sigma_random_m", "sigma_systematic_m")
-    return {name: {field: getattr(side, field) for field in fields} for name, side in sides.items()}
+    return {name: {field: getattr(side, field) for field in fields} for name, side in box.sides.items()}
 
 
 STATIONS_FORMAT = "jaxscan-stations/1"

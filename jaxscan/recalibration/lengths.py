@@ -105,10 +105,12 @@ def _check_parallel(name: str, surfaces: Surfaces, ends: tuple[int, int]) -> Non
 def _between_centres(length: MeasuredLength, surfaces: Surfaces, ends: tuple[int, int]) -> float:
     """The length midway between the centres of both walls, where the adjustment has it [m].
 
-    It was measured midway between the user's points. The walls as they were found tell the difference, which is small
-    where they are nearly parallel; to a nanometre.
+    It was measured midway between the user's points. The walls as they were found give the difference, which is small
+    where they are nearly parallel. The result is rounded to a nanometre.
     """
-    planes = [Plane(*(field[end] for field in surfaces), np.zeros((2, 3)), np.zeros((3, 3))) for end in ends]
+    normal, distance, centre = surfaces
+    # Neither axes nor covariance are used.
+    planes = [Plane(normal[k], float(distance[k]), centre[k], np.zeros((2, 3)), np.zeros((3, 3))) for k in ends]
     apart = lambda middle: float(np.abs(np.diff(feet_on(planes, middle)[1])[0]))
     measured = (np.asarray(length.first, np.float64) + np.asarray(length.second, np.float64)) / 2
     centres = (surfaces.centre[ends[0]] + surfaces.centre[ends[1]]) / 2

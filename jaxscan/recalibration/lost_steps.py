@@ -106,7 +106,7 @@ def _one_wall(a: Plane, b: Plane, x: np.ndarray, y: np.ndarray) -> bool:
 
 
 def fold(a: Float[np.ndarray, "*n 3"], b: Float[np.ndarray, "*n 3"]) -> tuple[np.ndarray, np.ndarray]:
-    """By how much normals are turned about the axis against others, and tilted against it [rad]."""
+    """Turn about the axis from normals `b` to normals `a`, and their difference of tilt [rad]."""
     turned = np.arctan2(a[..., 1], a[..., 0]) - np.arctan2(b[..., 1], b[..., 0])
     tilt = np.arcsin(np.clip(a[..., 2], -1, 1)) - np.arcsin(np.clip(b[..., 2], -1, 1))
     return np.asarray((turned + np.pi) % (2 * np.pi) - np.pi), np.asarray(tilt)
@@ -199,7 +199,7 @@ STEP_SPREAD = 0.1
 GAIN, WAVES = 1e-3, 7e-4
 """How far gain and waves may be from the calibration's [1, rad]."""
 FEW_POINTS, FEW_LINES = 6_000, 15
-"""With which the rig is refined."""
+"""Numbers of points and lines with which the rig is refined."""
 MOST_COST = 25.0
 """Largest cost of one point in `truncated_cost`."""
 ROBUST = 4.0
@@ -221,7 +221,7 @@ class Rig(NamedTuple):
 
     @staticmethod
     def start(scanner: Scanner, theta: Float[np.ndarray, " records"]) -> "Rig":
-        """With the angles of records by the journal [rad]."""
+        """A rig that begins with the angles of the journal [rad]."""
         return Rig(scanner, theta, np.zeros(1 + 2 * HARMONICS))
 
 
@@ -309,12 +309,7 @@ def _walls(x: np.ndarray, label: Int[np.ndarray, " points"]) -> Iterator[tuple[P
             yield plane, on
 
 
-def wall_equations(
-    sample: Sample,
-    label: Int[np.ndarray, " points"],
-    rig: Rig,
-    robust: bool = True,
-) -> Equations:
+def wall_equations(sample: Sample, label: Int[np.ndarray, " points"], rig: Rig, robust: bool = True) -> Equations:
     """The equations of all points on walls, linear about a rig; `robust`: points far from their wall weigh little.
 
     The unknowns are three for each wall, the coordinates of camera, sheets and axis, the gain, errors that repeat a few
@@ -488,9 +483,9 @@ def say_jump(name: str, records: tuple[int, int], degrees: float, sigma_deg: flo
 
 MOST_JUMPS = 12
 MOST_PROFILES, MOST_POINTS = 8_000, 60_000
-"""In which a step is looked for."""
+"""Numbers of profiles and points in which a step is looked for."""
 LAST_TIMES, MANY_POINTS = 4, 24_000
-"""With which the sizes of all steps are found in the end."""
+"""Iterations and points with which the sizes of all steps are found in the end."""
 LEAST_Z = 7.0
 """How many of its sigmas a step must have, with some thousand places where chance could make one."""
 PLACED = (4, 3, 3)
@@ -618,7 +613,7 @@ LEAST_BREAK = np.deg2rad(0.35)
 BREAK_TILT = np.deg2rad(1.5)
 """Difference of the tilts of the parts of a wall before and behind a break, at most."""
 LEAST_LINES = 5
-"""On which the wall is seen on both sides."""
+"""Least number of lines on which the wall is seen on both sides."""
 APART, MOST_BREAKS = 6, 3
 """Cells between two breaks that are proposed, and how many are."""
 
@@ -675,10 +670,10 @@ NEIGHBOURS = 10
 AROUND = np.deg2rad(20.0)
 """Turn on each side of a step in which the walls are fitted that determine its record."""
 LEAST_POINTS = 12
-"""On a wall there."""
+"""Least number of points on a wall there."""
 MANY_LINES = 120
 WALL_PROFILES, WALL_POINTS = 720, 12_000
-"""With which walls are found."""
+"""Numbers of profiles and points with which walls are found."""
 UNSURE = 9.0
 """A record is possible whose squared errors in sigmas exceed those of the best by so much."""
 

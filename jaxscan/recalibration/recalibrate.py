@@ -241,7 +241,7 @@ def _judged(job: _Job, verdict: judge.Verdict, done: Callable[[], None]) -> Reca
         # The gain is reported against the stored covariance, even where a part of that prior was given up.
         adjusted=replace(adjusted, prior=stored),
         drift=verdict.drift,
-        gains=judge.drifts_of(gained, judge.scales_of(gained, slopes), names),
+        gains=judge.gains_of(gained, judge.scales_of(gained, slopes), names),
         unobserved=judge.unobserved(solved, judge.scales_of(solved, slopes), names),
         moved=judge.moved_parameters(stored, adjusted.departure, solved, verdict.loosened),
         hold_out=held_out,

@@ -165,7 +165,7 @@ class Closure:
     """The gap that is left after a full turn."""
 
     before_mm: float | None
-    """At 2.5 m, with the stored calibration; None where nothing is seen twice."""
+    """Gap at 2.5 m with the stored calibration; None where nothing is seen twice."""
     after_mm: float | None
     """None where no overlap shows it."""
     sigma_mm: float

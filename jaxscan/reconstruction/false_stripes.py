@@ -4,7 +4,7 @@ Noise, texture and motion give as many stripes where laser-on and laser-off fram
 What is no clearer than most of these decoys is chance, and tells how many stripes of chance there are for each decoy;
 the decoys above a threshold, times that, are the stripes of chance above it. (J. E. Elias, S. P. Gygi, Target-decoy
 search strategy, Nature Methods 4, 2007; the rate as of J. D. Storey, A direct approach to false discovery rates,
-J. R. Stat. Soc. B 64, 2002.) The threshold leaves one in 300: lines are left out, not sweeps.
+J. R. Stat. Soc. B 64, 2002.) The threshold leaves one in 500: lines are left out, not sweeps.
 
 What parts stripes from decoys is that a laser's line goes on, from line to line and from profile to profile, while
 what is printed on a wall moves on with the room; and that it is bright. Where a camera stands still the room goes on as
@@ -41,9 +41,9 @@ _APART_PX, _DRIFT, _LEAST_DRIFT_PX = 6.0, 1 / 16, 1.0
 and at least so much [px]."""
 _AT_ONCE = 256
 """Profiles that are looked at together."""
-_SHARE, _LUCK, _MOST = 0.003, 2.5, 0.05
-"""Part of what is kept that chance may have, with so many sigmas of luck where all is kept; and the part up to which
-all is kept where no threshold can be set."""
+_SHARE, _LUCK, _MOST = 0.002, 2.5, 0.05
+"""Part of what is kept that chance may have, as decoys tell it, which in single rooms is twice as much; with so many
+sigmas of luck where all is kept; and the part up to which all is kept where no threshold can be set."""
 _RATE = 1.5
 """Stripes of chance for each decoy, at most: bright print is commoner than dark print."""
 _CERTAIN, _KEPT = 16, 0.25
@@ -314,7 +314,7 @@ def judge(
         kept, least, measure = max(found)
     if told or kept >= _KEPT * total:
         part = f"only the clearest {min(100.0 * kept / total, 100.0):.0f} % of them were kept"
-        return Chance(least, measure, f"{doubtful}; {part}, of which it has about one in 300; {_HELPS} would keep more")
+        return Chance(least, measure, f"{doubtful}; {part}, of which it has about one in 500; {_HELPS} would keep more")
     if chance <= _MOST * total:
         return Chance(note=f"{doubtful}, as clear as these; {_HELPS} would tell them apart")
     raise CaptureError(

@@ -35,8 +35,8 @@ _NEAREST_M, _FARTHEST_M = 0.3, 10.0
 _NODES_PX = 16
 """Distance between the pixels of which the place in another step is computed [px]."""
 _AGREE_DN = 8.0
-"""Difference of two steps up to which their mean is taken [DN]. Beyond it the median of both and of the frame itself is:
-one of the two has a stripe there, or an edge is not where it should be."""
+"""Difference of two steps up to which their mean is taken, and beyond it the median of both and the frame itself: one
+may have a stripe there, or an edge is not quite where it should be [DN]."""
 _MOST_DN = 20.0
 """Residual from which more is not worse [DN]."""
 _AROUND = (8, 4)
@@ -93,11 +93,9 @@ def dark_room(sweep: SweepSource, on: Array) -> UInt8[np.ndarray, "..."] | None:
     """A laser-off frame of one colour, where next to nothing but the laser is seen; else None.
 
     Args:
-        sweep: A sweep without laser-off frames.
+        sweep: A sweep of one exposure.
         on: Its first laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3).
     """
-    if len(sweep.exposures) > 1:
-        return None
     on = np.asarray(on)
     room = np.empty(on.shape[1:], np.uint8)
     # Pixels of one colour: a mosaic repeats itself every two of them.
@@ -123,8 +121,9 @@ def with_off(plan: Plan, dark: Dark | None = None, *, first: int | None = None) 
     if not _can_predict(sweep):
         yield from sweep.chunks(size)
         return
-    kept: list[np.ndarray] = []
-    start, done, count = 0, 0, size if first is None else min(first, size)
+    alone = dark is not None and dark.source == "alone"
+    frames: dict[int, np.ndarray] = {}
+    read, done, count = 0, 0, size if first is None else min(first, size)
     with ThreadPoolExecutor(workers()) as pool:
         for chunk in sweep.chunks(size):
             if chunk.off is not None and (dark is None or dark.source == "given"):
@@ -133,18 +132,14 @@ def with_off(plan: Plan, dark: Dark | None = None, *, first: int | None = None) 
             if dark is not None and dark.room is not None:
                 yield FrameChunk(chunk.on, np.broadcast_to(dark.room, chunk.on.shape))
                 continue
-            kept += list(np.asarray(chunk.on))
-            last = start + len(kept) == len(sweep)
-            while done < len(sweep) and (last or done + count + _FARTHEST <= start + len(kept)):
+            frames |= dict(enumerate(np.asarray(chunk.on), read))
+            read += len(chunk.on)
+            while done < read and (read == len(sweep) or done + count + _FARTHEST <= read):
                 records = range(done, min(done + count, len(sweep)))
-                known = {start + k: frame for k, frame in enumerate(kept)}
-                alone = dark is not None and dark.source == "alone"
-                off = pool.map(lambda k, known=known, alone=alone: _off(plan, k, known, alone), records)
-                on = np.stack(kept[done - start : records.stop - start])
-                yield FrameChunk(on, np.stack(list(off)))
+                off = pool.map(lambda k, known=frames: _off(plan, k, known, alone), records)
+                yield FrameChunk(np.stack([frames[k] for k in records]), np.stack(list(off)))
                 done, count = records.stop, size
-                passed = max(0, done - _FARTHEST - start)
-                start, kept = start + passed, kept[passed:]
+                frames = {k: frame for k, frame in frames.items() if k >= done - _FARTHEST}
 
 
 def _off(plan: Plan, record: int, frames: dict[int, np.ndarray], alone: bool) -> np.ndarray:

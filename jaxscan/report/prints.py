@@ -76,7 +76,7 @@ def one_sheet(size: tuple[float, float]) -> Paper | None:
 
 def _fewest(size: tuple[float, float], paper: Paper) -> SheetLayout:
     short, long = _SIZES_MM[paper]
-    # Of equals the first: the one that lies as the board does.
+    # If both need as many, the first is taken: it lies as the board does.
     pages = [(short, long), (long, short)] if size[0] <= size[1] else [(long, short), (short, long)]
     return min((_sheets(size, page) for page in pages), key=lambda layout: layout.sheets)
 

@@ -261,7 +261,7 @@ class TrueRig:
     point: np.ndarray
     """Its point nearest the camera."""
     scanner_from_camera: Motion
-    """At angle 0."""
+    """T_scanner_cam at angle 0."""
 
     def theta(self, phi: float) -> float:
         """Angle of turning at the table's angle `phi` [rad]."""

@@ -242,6 +242,7 @@ class _Kind(NamedTuple):
     choice: Choice
     exposures: tuple[float, ...]
     several: bool
+    faint: bool
 
     @classmethod
     def of(cls, setup: ExtractionSetup, shape: tuple[int, ...]) -> "_Kind":
@@ -259,6 +260,7 @@ class _Kind(NamedTuple):
             settings.choice,
             setup.exposures,
             setup.several,
+            setup.faint and ESTIMATORS[settings.estimator].faint and settings.choice == "path",
         )
 
     @property
@@ -324,7 +326,7 @@ def _of_stack(on: _Stack, off: _Stack | None, count: Array, search: Search, kind
         shifted = found.u + offsets[np.arange(found.u.shape[2]) % len(offsets)][None, None]
         return found._replace(u=jnp.where(found.valid, shifted, 0.0))
 
-    if estimator.faint and kind.choice == "path":
+    if kind.faint:
         shapes = jax.eval_shape(measured_by)
         nothing = jax.tree.map(lambda field: jnp.zeros(field.shape, field.dtype), shapes)
         none = jnp.full((frames, nothing.u.shape[2]), -1, jnp.int8)

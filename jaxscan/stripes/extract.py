@@ -27,6 +27,9 @@ def extract_stripes(
 ) -> Stripes:
     """Sub-pixel centre of the laser's stripe on every line of every frame.
 
+    It compiles itself, takes whole stacks, and has no derivatives: `jax.jit`, `jax.vmap` and `jax.grad` are for what is
+    made of its stripes.
+
     Args:
         on: Laser-on frames, uint8 [frames, rows, columns] (rgb8: and 3), or a single one without its
             leading axis; NumPy or JAX.
@@ -42,9 +45,15 @@ def extract_stripes(
         `settings.choice` "all" every frame has a profile for each candidate, one after the other.
 
     Raises:
+        TypeError: If it is called within `jax.jit`, `jax.vmap` or `jax.grad`.
         ValueError: If shapes or types do not fit the pixel format, the choice needs a scanner, or
             the laser's colour cannot be learned.
     """
+    if isinstance(on, jax.core.Tracer) or isinstance(off, jax.core.Tracer):
+        raise TypeError(
+            "extract_stripes was called within jax.jit, jax.vmap or jax.grad; call it outside of them, with a stack of "
+            "frames: it compiles itself."
+        )
     frames = pixel_format if isinstance(pixel_format, FrameFormat) else FrameFormat(pixel_format)
     # A stack of grey frames has as many dimensions as one frame of colours.
     if on.ndim == frame_rank(frames.pixel_format) and (on.ndim == 2 or on.shape[-1] == 3):

@@ -108,7 +108,8 @@ def find_peaks(
     if off is not None:
         room = _lattice(off.samples, pitch)
         level = level - room - _brighter(room, lamp_ratio)
-    lattice, lines = jnp.where(inside, level, jnp.int16(0)), 1.0
+    lattice = jnp.where(inside, level, jnp.int16(0))
+    lines: Array | float = 1.0
     thresholds = jnp.asarray(thresholds)
     wanted = (jnp.asarray(high) > 0) if wanted is None else wanted & (jnp.asarray(high) > 0)
     if together is not None:

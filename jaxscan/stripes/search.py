@@ -39,6 +39,8 @@ class ExtractionSetup(NamedTuple):
     """Where the exposures are levels of one frame of more than 8 bits, the one that this engine reads."""
     all_candidates: bool = False
     """Whether the other candidates of a line are given too, beside the number of the chosen one."""
+    faint: bool = True
+    """Whether lines on which none is found are searched together with those around; on print these are no help."""
 
     @property
     def several(self) -> bool:

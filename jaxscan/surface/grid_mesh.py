@@ -101,7 +101,7 @@ class Nodes(NamedTuple):
     ray: Vector
     """Unit direction of sight."""
     variance: np.ndarray
-    """Of the noise along the ray [m^2]."""
+    """Variance of the noise along the ray [m^2]."""
     valid: np.ndarray
 
     def part(self, columns: slice, lines: slice) -> "Nodes":

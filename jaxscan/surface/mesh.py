@@ -41,7 +41,7 @@ class MeshSettings(NamedTuple):
     """Whether single missing cells are filled where the points on both sides are on one surface."""
 
     def least_cosine(self) -> float:
-        """Of the angle between sight and normal."""
+        """Cosine of the angle between sight and normal."""
         return math.cos(math.radians(self.grazing_deg))
 
 

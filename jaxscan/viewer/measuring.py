@@ -27,9 +27,9 @@ from jaxscan.viewer.shown import ShownCloud
 Kind = Literal["point", "distance", "height", "angle", "area", "flatness", "room", "box"]
 DISTANCE_RADIUS_M = 0.02
 PLANE_RADIUS_M = 0.2
-"""As of `jaxscan measure`."""
+"""As in `jaxscan measure`."""
 _DECIMALS = 4
-"""Of picked coordinates [m], so that what is listed is what was measured."""
+"""Decimals of picked coordinates [m]: what is listed is what was measured."""
 _LEAST = 4
 _FORMULA = ("=", "+", "-", "@")
 _OPTIONS = ("calibration", "unit", "up")
@@ -57,7 +57,7 @@ class Measured(NamedTuple):
     turned: bool = False
     """Whether the axes are not those of the cloud's file."""
     options: Mapping[str, str] = MappingProxyType({})
-    """Of `jaxscan measure`, by which it measures the same."""
+    """Words of `jaxscan measure` that measure the same."""
     unit: Literal["m", "deg", "m2", "m3"] = "m"
 
     @property
@@ -186,7 +186,6 @@ def measure_sides(shown: ShownCloud, scanner: Scanner | None) -> tuple[Measured,
         MeasurementError: If it has no walls.
     """
     box = measure_room(shown.cloud, scanner=scanner)
-    sides = {name: getattr(box, name) for name in ("length", "width", "height")}
     measured = [
         _measured(
             shown,
@@ -197,8 +196,7 @@ def measure_sides(shown: ShownCloud, scanner: Scanner | None) -> tuple[Measured,
             (side.value_m, side.sigma_m),
             f"{name} {length_words(side.value_m, side.sigma_m)}",
         )
-        for name, side in sides.items()
-        if side is not None
+        for name, side in box.sides.items()
     ]
     remarks = (f"a dimension is left out: {remark}." for remark in box.remarks)
     measured[-1] = measured[-1]._replace(words=(*measured[-1].words, *remarks))

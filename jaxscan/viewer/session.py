@@ -49,7 +49,7 @@ class Entry(NamedTuple):
     cloud: int
     measured: Measured
     id: int
-    """By which a page names it; never given twice."""
+    """Number by which a page names it; never given twice."""
 
 
 Found = tuple[list[tuple[int, Measured]], str]

@@ -71,7 +71,7 @@ def serve_clouds(
         address: Where to listen.
         clouds: One or more.
         scanner: With which they were made; sigma then includes the calibration's part.
-        products: Of the project that they belong to, to be listed beside them.
+        products: Gives the products of their project, which are listed beside them.
     """
     view = View(clouds, scanner, products)
 

@@ -18,7 +18,7 @@ _SIGMA_PX = 0.2
 _WINDOW_SHARE, _MOST_MOVED = 0.5, 0.6
 # The last window, in widths of a tag's black border, and the cells of a tag within it.
 _CLEAR_SHARE, _CELLS = 0.8, 6
-# A tag is where the others say that it is within this share of its side.
+# A tag is accepted within this share of its side from where the others predict it.
 _NEAR = 0.25
 
 

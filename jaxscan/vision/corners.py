@@ -100,7 +100,7 @@ def edge_directions(q: np.ndarray, valid: np.ndarray, board: AbstractBoard) -> t
     """Unit vectors [corners, 2 (along x, along y), 2] of the edges at every corner, by its neighbours.
 
     Returns:
-        edges: As above; zero where not known.
+        edges: Edges of the squares; zero where they are not known.
         known: bool [corners]: there is a neighbour along either edge.
     """
     columns, rows = board.grid()

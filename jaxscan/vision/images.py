@@ -13,12 +13,11 @@ import numpy as np
 from jaxscan.errors import CaptureError, DependencyError
 from jaxscan.geometry import MAX_PIXELS
 from jaxscan.vision.frames import check_frame
-from jaxscan.vision.png import SIGNATURE, OtherKind, check_png, png_size
-from jaxscan.vision.tiff import Tiff
+from jaxscan.vision.lossless import SIGNATURE, OtherKind, Tiff, check_png, png_size
 from jaxscan.vision.zstd import MAGIC, decode_zstd, zstd_size
 
 
-# Failures are errors of ours, in one line; OpenCV would also print them.
+# Failures are raised as one line; OpenCV would also print them.
 cv2.utils.logging.setLogLevel(cv2.utils.logging.LOG_LEVEL_SILENT)
 
 
@@ -59,7 +58,7 @@ def decode_image(
     out: np.ndarray | None = None,
     deep: bool = False,
 ) -> np.ndarray:
-    """One frame from the bytes of a PNG, packed (`encode_zstd`), TIFF, JPEG or BMP file; none of a damaged file.
+    """One frame from the bytes of a PNG, packed (`encode_zstd`), TIFF, JPEG or BMP file; a damaged file is refused.
 
     Damage is not noticed where nothing in the file could tell: other bytes in a BMP or in a TIFF that is not packed
     by Deflate, if the lengths still fit, and other codes in a JPEG that mean something.
@@ -153,22 +152,18 @@ def _jpeg_size(data: bytes) -> tuple[int, int]:
 
 
 def _decode_jpeg(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
-    """Pixels of a JPEG; a mere warning of libjpeg, as of missing data, is an error."""
+    """Pixels of a JPEG; warnings of libjpeg, such as missing data, are errors."""
     try:
         import simplejpeg
     except ImportError as problem:
         raise DependencyError("JPEG images need simplejpeg: pip install simplejpeg") from problem
     if b"\xff\xd9" not in data[-4096:]:
         raise ValueError("it is cut short")
-    # Also for messages of the library in other forms than ours.
+    # Versions of the library spell it in different ways.
     space = str(simplejpeg.decode_jpeg_header(data)[2]).upper()
     if space not in ("GRAY", "YCBCR", "RGB"):
         raise OtherKind(f"found the colours {space:.20}, expected grey or RGB; convert it to RGB")
     return np.asarray(simplejpeg.decode_jpeg(data, "GRAY" if space == "GRAY" else "RGB"))
-
-
-def _decode_png(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
-    return _by_opencv(check_png(data))
 
 
 def _decode_tiff(data: bytes, out: np.ndarray | None = None) -> np.ndarray:
@@ -226,7 +221,7 @@ _SIZES: dict[str, Callable[[bytes], tuple[int, int]]] = {
 }
 # Some fill the memory that they are given, if it has the shape of the image.
 _DECODERS: dict[str, Callable[[bytes, np.ndarray | None], np.ndarray]] = {
-    "PNG": _decode_png,
+    "PNG": lambda data, out: _by_opencv(check_png(data)),
     "BMP": _by_opencv,
     "JPEG": _decode_jpeg,
     "TIFF": _decode_tiff,

@@ -20,7 +20,7 @@ _MOST_COLUMNS = 40
 _FITS = 0.15
 """Error of markers on a board with the right number of columns, in squares, at most."""
 _FEWEST_CORNERS = 4
-"""Columns and rows of corners from which a chessboard is believed: less is found on many boards."""
+"""Columns and rows of corners from which a chessboard is accepted: fewer are found on many boards."""
 _LARGEST_PX = 800
 
 

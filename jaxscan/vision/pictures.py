@@ -9,7 +9,7 @@ import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.vision.images import decode_image, encode_png
-from jaxscan.vision.png import SIGNATURE, chunk
+from jaxscan.vision.lossless import SIGNATURE, chunk
 
 
 XMP_IN_JPEG = b"http://ns.adobe.com/xap/1.0/\0"
@@ -17,7 +17,7 @@ XMP_IN_PNG = b"XML:com.adobe.xmp\0\0\0\0\0"
 LARGEST_SEGMENT = 65_533
 """Bytes that a segment of a JPEG can hold."""
 WIDEST = 4096
-"""Pixels of a side that every browser can draw."""
+"""Largest side of a picture that every browser can draw [px]."""
 _FIELD = re.compile(rb'GPano:(\w+)(?:="|>)(\d{1,6})["<]')
 _ABOUT_BYTES = 200_000
 """Metadata is looked for in so many bytes at the beginning of a file."""

@@ -65,7 +65,7 @@ class Video:
         return found
 
     def frame(self, number: int) -> np.ndarray:
-        """A frame, RGB uint8 [rows, columns, 3]; frames are asked for in ascending order.
+        """A frame, RGB uint8 [rows, columns, 3]; frames must be read in ascending order.
 
         Raises:
             CaptureError: If the video ends before it, or the frame is damaged.

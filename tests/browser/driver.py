@@ -85,6 +85,12 @@ class Looks:
 
         return WebDriverWait(self.driver, PATIENCE_S, 0.05).until(lambda _: holds())
 
+    def too_wide(self):
+        """How much wider than the window the page is [px]: it scrolls sideways where this is more than 0."""
+        return self.driver.execute_script(
+            "const page = document.documentElement; return page.scrollWidth - page.clientWidth"
+        )
+
     def colours(self, name):
         """How many different colours the canvas with this id has."""
         script = """

@@ -51,6 +51,28 @@ class TestInfo:
         (tmp_path / "a.toml").write_text("[camera]\nwidth = 640\n")
         assert about(tmp_path / "a.toml")["tables"] == ["camera"]
 
+    @pytest.mark.parametrize("suffix", [".glb", ".obj", ".ply", ".stl"])
+    def test_a_mesh(self, room, run, about, tmp_path, suffix):
+        path = tmp_path / f"mesh{suffix}"
+        made = json.loads(run("mesh", room, "-o", path, "--json", "-").out)
+        found = about(path)
+        assert (found["kind"], found["faces"]) == ("mesh", made["faces"])
+        assert suffix == ".stl" or found["vertices"] == made["vertices"]
+        assert ("metre" in found["unit"]) and f"faces: {made['faces']:,}" in run("info", path).out
+
+    def test_the_place_of_a_glb(self, room, run, about, tmp_path):
+        run("mesh", room, "-o", tmp_path / "mesh.glb")
+        found, cloud = about(tmp_path / "mesh.glb"), jaxscan.load_cloud(room)
+        xyz = np.asarray(cloud.xyz)[np.asarray(cloud.valid)]
+        assert found["up"] == "y" and found["to"][1] <= xyz[:, 2].max() + 1e-5
+
+    @pytest.mark.parametrize("suffix", [".glb", ".pdf", ".svg", ".png", ".ifc", ".stl", ".ply"])
+    @pytest.mark.parametrize("content", [b"", b"hello", b"glTF" + 16 * b"\xff", b"%PDF-1.4 /MediaBox [0 0 x y]"])
+    def test_what_is_not_what_its_name_says(self, tmp_path, run, suffix, content):
+        (tmp_path / f"a{suffix}").write_bytes(content)
+        ran = run("info", tmp_path / f"a{suffix}")
+        assert (ran.code == 1 and len(ran.err.splitlines()) == 1) or suffix in (".pdf", ".ply")
+
     def test_what_it_does_not_know(self, tmp_path, refused):
         (tmp_path / "notes.txt").write_text("hello")
         assert "expected a cloud" in refused("info", tmp_path / "notes.txt")

@@ -54,6 +54,17 @@ def test_every_name_has_words_of_its_own(words, run):
     assert paragraphs(function)[0] in said
 
 
+@pytest.mark.parametrize("words", EVERY, ids=" ".join)
+def test_every_verb_checks_its_paths_and_gives_json(words):
+    """By itself or by a function of its file; what is refused there is tested with some verbs."""
+    verb = load_verb(*words)
+    source, module = inspect.getsource(verb), inspect.getmodule(verb)
+    for name, other in vars(module).items():
+        if inspect.isfunction(other) and other.__module__ == module.__name__ and re.search(rf"\b{name}\(", source):
+            source += inspect.getsource(other)
+    assert "check_paths(" in source and "emit_json(" in source
+
+
 def test_all_pages_describe_different_things(run):
     said = [run(*words, "--help").out for words in PAGES]
     assert len({text.split("\n\n")[1] for text in said}) == len(PAGES)

@@ -142,7 +142,8 @@ def flat_points(cloud):
 def test_a_camera_on_a_hand(folder, run, refused, calibrated):
     path, said = calibrated("hand", plain_rig.hand_boards(folder / "hand"))
     assert said.startswith("solving for camera, sheet and place of the camera on the hand\n")
-    assert "each pose of the hand is off by" in " ".join(said.split())
+    first, after = " ".join(said.split()).split(" within one profile, and each pose of the hand adds ")
+    assert "Good to " in first and "Each pose of the hand is off by" in after
     assert_camera(path)
     sweep = plain_rig.hand_sweep(folder / "hand-sweep")
     poses = np.reshape([one["pose"] for one in journal(sweep)], (-1, 3, 4))

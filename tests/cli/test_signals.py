@@ -33,7 +33,7 @@ while True:
 """
 WITH_FILES = """
 from pathlib import Path
-from jaxscan.files.disk.atomic import partial_file, partial_folder
+from jaxscan.files.disk.writing import partial_file, partial_folder
 with partial_file(Path("cloud.ply")) as file, partial_folder(Path("captures")) as folder:
     file.write_bytes(b"half")
     (folder / "inner").mkdir()

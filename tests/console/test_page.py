@@ -224,6 +224,7 @@ def test_one_green_button_is_the_next_step_and_the_rig_is_set_by_hand(visit, con
                })"""
         )
         assert min(boxes[0][0], boxes[1][0]) > 400 and min(boxes[0][1], boxes[1][1]) > 380 and boxes[2][2] <= 900
+        assert looks.too_wide() <= 0
         before = boxes[0][0]
         looks.driver.execute_script("document.querySelector('.camera .enlarge').click()")
         assert looks.at("picture").size["width"] > 1.8 * before and not looks.at("cloud").is_displayed()

@@ -122,6 +122,13 @@ def address(site):
         thread.join()
 
 
+@pytest.mark.parametrize("size", [(1400, 900), NARROW], ids=["desk", "telephone"])
+def test_the_first_page_does_not_scroll_sideways(browser, address, size):
+    looks = Looks(browser)
+    looks.open(f"{address}/index.html", size)
+    assert looks.too_wide() <= 0
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("size", [WIDE, NARROW], ids=["desk", "telephone"])
 @pytest.mark.parametrize("page", ["index", "first-room", "mathematics", "api/clouds", "repository/hardware/PROTOCOL"])
@@ -129,7 +136,7 @@ def test_pages_fit_a_window(browser, address, page, size):
     looks = Looks(browser)
     looks.open(f"{address}/{page}.html", size)
     looks.until(lambda: browser.execute_script("return document.readyState") == "complete")
-    assert browser.execute_script("return document.documentElement.scrollWidth <= window.innerWidth")
+    assert looks.too_wide() <= 0
     asked = browser.execute_script("return performance.getEntriesByType('resource').map(entry => entry.name)")
     assert asked and all(name.startswith(address) for name in asked), asked
     assert not looks.complaints()

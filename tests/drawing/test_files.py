@@ -10,6 +10,7 @@ from matplotlib.image import imread
 import jaxscan
 from jaxscan.drawing import LAYERS, lay_out, strokes
 from jaxscan.errors import OptionError, OutputError
+from jaxscan.files.products import describe_product
 
 
 @pytest.fixture(scope="module")
@@ -118,6 +119,21 @@ def test_names_of_strangers(survey, tmp_path):
     assert not ezdxf.readfile(tmp_path / "plan.dxf").audit().errors
     jaxscan.save_ifc(survey, tmp_path / "room.ifc", sheet=plan.sheet)
     assert (tmp_path / "room.ifc").read_text("ascii").startswith("ISO-10303-21;")
+
+
+def test_a_file_of_a_drawing_says_its_sheet(plan, survey, tmp_path):
+    """As `jaxscan info` does, which reads what is in the file."""
+    for suffix in (".svg", ".pdf", ".png", ".dxf"):
+        jaxscan.save_drawing(plan, tmp_path / f"plan{suffix}")
+    jaxscan.save_ifc(survey, tmp_path / "plan.ifc")
+    about = {
+        suffix: describe_product(tmp_path / f"plan{suffix}", error=OutputError)
+        for suffix in (".svg", ".pdf", ".png", ".dxf", ".ifc")
+    }
+    sheet = [round(side) for side in lay_out(plan).size_mm]
+    assert [about[suffix]["sheet_mm"] for suffix in (".svg", ".pdf", ".png")] == [sheet] * 3
+    assert about[".dxf"]["dimensions"] == len(plan.dimensions)
+    assert about[".ifc"]["walls"] == len(survey.outline.loops[0]) and about[".ifc"]["spaces"] == 1
 
 
 def test_the_largest_standard_scale_that_fits(survey):

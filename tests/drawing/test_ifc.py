@@ -61,7 +61,7 @@ def test_the_validator_finds_nothing(model, written, tmp_path):
 def test_parts_and_names(model, survey):
     assert model.schema == "IFC4"
     assert [model.by_type(kind)[0].Name for kind in ("IfcProject", "IfcSpace")] == ["House 7", "Küche"]
-    assert [wall.Name for wall in model.by_type("IfcWall")] == [side.name for side in survey.outline.cells[0]]
+    assert [wall.Name for wall in model.by_type("IfcWall")] == [side.name for side in survey.outline.loops[0]]
     assert len(model.by_type("IfcDoor")) == len(model.by_type("IfcWindow")) == 1
     assert len(model.by_type("IfcOpeningElement")) == 2
     (units,) = model.by_type("IfcUnitAssignment")
@@ -83,7 +83,7 @@ def test_the_space_is_as_large_as_the_room(model, survey):
 
 def test_the_inner_face_of_a_wall_is_where_it_was_measured(model, survey):
     """Its outer face is farther by the thickness, which is said to be no measurement."""
-    for side, wall in zip(survey.outline.cells[0], model.by_type("IfcWall"), strict=True):
+    for side, wall in zip(survey.outline.loops[0], model.by_type("IfcWall"), strict=True):
         corners = triangles(wall).reshape(-1, 3)
         depth = corners @ side.surface.plane.normal - side.surface.plane.distance
         # Walls in the model are upright, and those measured nearly.

@@ -33,7 +33,7 @@ def test_colours_are_where_they_are_on_the_wall(survey, furnished_cloud):
 
 def test_every_wall_has_a_picture(survey, furnished_cloud):
     pictures = jaxscan.draw_orthophotos(survey, furnished_cloud.rgb, pixel_m=0.02)
-    assert [picture.side for picture in pictures] == [side.name for side in survey.outline.cells[0]]
+    assert [picture.side for picture in pictures] == [side.name for side in survey.outline.loops[0]]
     assert all((picture.rgb[picture.seen] == 128).all() for picture in pictures)
 
 

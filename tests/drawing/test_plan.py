@@ -220,7 +220,7 @@ def test_what_is_not_known_is_no_dimension(survey):
         plane = wall.plane._replace(covariance=np.eye(3) * 4.0)
         return replace(side, surface=Surface(plane, wall._replace(plane=plane)))
 
-    loops = tuple(tuple(vague(side) for side in loop) for loop in survey.outline.cells)
+    loops = tuple(tuple(vague(side) for side in loop) for loop in survey.outline.loops)
     unknown = replace(survey, outline=replace(survey.outline, loops=loops))
     plan = jaxscan.draw_plan(unknown)
     assert any("left out" in remark for remark in plan.remarks)

@@ -10,7 +10,7 @@ import pytest
 
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import calibration_notes, load_calibration, load_scanner, save_calibration
-from jaxscan.files.disk import atomic
+from jaxscan.files.disk import writing
 from jaxscan.geometry import Chessboard
 
 from .test_calibration import make_calibration, make_observations
@@ -121,7 +121,7 @@ def test_a_failure_changes_neither_file(path, tmp_path, monkeypatch, failing):
         if part.suffix == Path(failing).suffix:
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
 
-    monkeypatch.setattr(atomic, "sync_to_disk", full)
+    monkeypatch.setattr(writing, "sync_to_disk", full)
     board = Chessboard(columns=4, rows=3, square=0.03)
     with pytest.raises(CalibrationError, match=rf"{failing}: cannot be written: No space left"):
         save_calibration(make_calibration(observations=make_observations(board)), path)

@@ -12,27 +12,14 @@ import pytest
 from jaxscan.calibration.result import Calibration
 from jaxscan.errors import CalibrationError
 from jaxscan.files.calibration import export_camera
-from jaxscan.geometry import DoubleSphere, Fisheye, LaserSheet, Pinhole, Scanner, Turntable, stack_lasers
+from jaxscan.geometry import LaserSheet, Scanner, Turntable, stack_lasers
+
+from .test_known_cameras import LENSES, camera
 
 
-BROWN = (-0.1012345678901234, 0.0612, 4e-4, -3.1e-5, 0.0123)
-MODELS = {
-    "brown": BROWN,
-    # One coefficient is so small that its shortest digits have no point.
-    "rational": (*BROWN, 0.02, -1e-05, 0.003),
-    "fisheye": (0.031, -0.004, 0.0012, -1e-05),
-}
-DOUBLE_SPHERE = (-0.2, 0.55)
+MODELS = ("brown", "rational", "fisheye")
 # Rounding of float64 at 2000 px is 2e-13; the order of summation differs.
 SAME_PX = 1e-9
-
-
-def camera(model, **changes):
-    kind = {"fisheye": Fisheye, "double_sphere": DoubleSphere}.get(model, Pinhole)
-    lens = {**MODELS, "double_sphere": DOUBLE_SPHERE, "plain": (*BROWN[:4], 0.0)}[model]
-    given = {"fx": 1201.1 + 1 / 3, "fy": 1202.7, "cx": 644.2, "cy": 507.1, "width": 1280, "height": 1024}
-    numbers = {name: value if name in ("width", "height") else np.asarray(value) for name, value in given.items()}
-    return kind(distortion=np.array(lens), **numbers, **changes)
 
 
 def calibration(model, *, name="red", **changes):
@@ -130,7 +117,7 @@ class TestROS:
         # The float of YAML 1.1, as its type repository has it.
         pattern = re.compile(r"[-+]?[0-9][0-9_]*\.[0-9_]*([eE][-+][0-9]+)?")
         found = [number for line in numbers for number in line.split(", ")]
-        assert len(found) == 9 + len(MODELS[model]) + 9 + 12
+        assert len(found) == 9 + len(LENSES[model]) + 9 + 12
         assert all(pattern.fullmatch(number) for number in found)
 
 
@@ -180,7 +167,7 @@ class TestKalibr:
         found = self.read(tmp_path / "camchain.yaml")
         assert (found["camera_model"], found["distortion_model"], found["distortion_coeffs"]) == ("ds", "none", [])
         xi, alpha, fu, fv, pu, pv = found["intrinsics"]
-        assert (xi, alpha) == DOUBLE_SPHERE
+        assert (xi, alpha) == LENSES["double_sphere"]
         p = points()
         d1 = np.linalg.norm(p, axis=1)
         d2 = np.sqrt(p[:, 0] ** 2 + p[:, 1] ** 2 + (xi * d1 + p[:, 2]) ** 2)

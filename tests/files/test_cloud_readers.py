@@ -119,27 +119,19 @@ def test_points_that_share_a_cell_or_are_not_finite(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("rows", "message"),
+    ("count", "rows", "message"),
     [
-        ("1.0 2 3\n4 5\n7 8 9", "not a readable .ply file"),
-        ("1 2 3\n4 5 six\n7 8 9", "not a readable .ply file"),
-        ("1.00 2.00 3.00\n4 5 6\n  \n ", "found (2, 3)"),
+        (3, "1.0 2 3\n4 5\n7 8 9", "not a readable .ply file"),
+        (3, "1 2 3\n4 5 six\n7 8 9", "not a readable .ply file"),
+        (3, "1.00 2.00 3.00\n4 5 6\n  \n ", "found (2, 3)"),
+        (0, "", "holds no points"),
+        (1, "nan nan nan", "holds no finite point"),
+        (1, "0 -1.7e308 0", "expected at most 1e+15"),
     ],
 )
-def test_broken_ascii(tmp_path, rows, message):
-    path = ply(["format ascii 1.0", *vertex()], rows.encode(), tmp_path / "a.ply")
-    refused(CloudError, lambda: load_cloud(path), message)
-
-
-def test_nothing_to_read(tmp_path):
-    with pytest.raises(CloudError, match=r"a\.ply: no such file"):
-        load_cloud(tmp_path / "a.ply")
-    path = ply(["format ascii 1.0", *vertex(count=0)], b"", tmp_path / "a.ply")
-    with pytest.raises(CloudError, match="holds no points"):
-        load_cloud(path)
-    path = ply(["format ascii 1.0", *vertex(count=1)], b"nan nan nan", tmp_path / "a.ply")
-    with pytest.raises(CloudError, match="holds no finite point"):
-        load_cloud(path)
+def test_broken_ascii(tmp_path, count, rows, message):
+    path = ply(["format ascii 1.0", *vertex("double", count)], rows.encode(), tmp_path / "a.ply")
+    refused(CloudError, lambda: load_cloud(path), message, "a.ply")
 
 
 def npz(path, **arrays):
@@ -204,14 +196,6 @@ def test_las_refuses_points_too_far_apart(tmp_path, far):
         save_cloud(cloud, tmp_path / "b.laz")
     for suffix in (".ply", ".xyz", ".pcd", ".npz"):
         save_cloud(cloud, tmp_path / f"b{suffix}")
-
-
-@pytest.mark.parametrize("far", [1.7e308])
-def test_numbers_whose_squares_are_not_finite_are_refused(tmp_path, far):
-    points = np.array([[0.0, 0, 0], [far, 0, 0], [-far, 0, 0]])
-    header = ["format binary_little_endian 1.0", *vertex("double")]
-    with pytest.raises(CloudError, match=r"xyz of a valid point is .*, expected at most 1e\+15"):
-        load_cloud(ply(header, points.tobytes(), tmp_path / "n.ply"))
 
 
 def test_rows_beyond_65535_keep_their_number_in_e57(tmp_path):

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CloudError, DependencyError
-from jaxscan.files.clouds import READERS, WRITERS, load_cloud, save_cloud
+from jaxscan.files.clouds import WRITERS, load_cloud, save_cloud
 from jaxscan.files.clouds import clouds as clouds_module
 from jaxscan.reconstruction import SMOOTHED
 from jaxscan.surface import load_open3d
@@ -335,10 +335,6 @@ def test_the_organised_grid_comes_back(tmp_path, suffix, smoothed):
         assert (values is not None) == smoothed
         if smoothed:
             assert np.array_equal(values[cloud.valid], getattr(cloud, name)[cloud.valid]), name
-
-
-def test_every_format_that_is_written_is_read():
-    assert READERS.keys() == WRITERS.keys()
 
 
 def test_blocks_do_not_show(tmp_path, monkeypatch):

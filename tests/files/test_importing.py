@@ -10,8 +10,8 @@ import pytest
 from jaxscan.cli.main import main
 from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.importing import list_images, parse_board
-from jaxscan.files.importing.listing import match, natural
 from jaxscan.files.importing.roles import group, understand
+from jaxscan.files.importing.sources import match, natural
 from jaxscan.vision.video import is_cut_short
 
 
@@ -215,15 +215,6 @@ def video(path, codec, frames=6):
 
 
 VIDEOS = [(".avi", "FFV1"), (".avi", "MJPG"), (".mkv", "FFV1"), (".webm", "VP80"), (".mp4", "mp4v")]
-
-
-@pytest.mark.parametrize(("suffix", "codec"), VIDEOS)
-def test_a_video_is_read(tmp_path, capsys, suffix, codec):
-    (tmp_path / "in").mkdir()
-    video(tmp_path / "in" / f"laser{suffix}", codec)
-    assert main(["import", str(tmp_path / "in"), "-o", str(tmp_path / "out"), "--step-deg", "1"]) == 0
-    said = capsys.readouterr().out
-    assert f"laser{suffix} has 6 frames" in said and "says of itself" not in said
 
 
 def test_frames_that_a_video_only_announces_are_said(tmp_path, capsys):

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
-from jaxscan.files.importing.poses import read_pose
+from jaxscan.files.importing.plan import read_pose
 
 
 TURN = Rotation.from_euler("ZYX", [110.0, -35.0, 20.0], degrees=True)

@@ -18,6 +18,7 @@ BROWN = (-0.1012345678901234, 0.0612, 4e-4, -3.1e-5, 0.0123)
 LENSES = {
     "brown": BROWN,
     "plain": (*BROWN[:4], 0.0),
+    # One coefficient is so small that its shortest digits have no point.
     "rational": (*BROWN, 0.02, -1e-05, 0.003),
     "fisheye": (0.031, -0.004, 0.0012, -1e-05),
     "double_sphere": (-0.2, 0.55),
@@ -30,9 +31,9 @@ def load_camera(path, size=None):
     return read_camera(path, size).camera
 
 
-def camera(lens):
+def camera(lens, **changes):
     kind = {"fisheye": Fisheye, "double_sphere": DoubleSphere}.get(lens, Pinhole)
-    return kind(*map(np.asarray, NUMBERS.values()), np.array(LENSES[lens]), *SIZE)
+    return kind(*map(np.asarray, NUMBERS.values()), np.array(LENSES[lens]), *SIZE, **changes)
 
 
 def is_refused(path, message=""):

@@ -8,8 +8,8 @@ import sys
 import pytest
 
 from jaxscan.errors import JaxscanError
-from jaxscan.files.disk import atomic as module
 from jaxscan.files.disk import forget_partials, partial_file, partial_folder, remove_stale, write_atomically
+from jaxscan.files.disk import writing as module
 
 
 LEFT = ".part-0123456789ab"

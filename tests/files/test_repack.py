@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
+from jaxscan.files import recording
 from jaxscan.files.capture import SEAL, open_capture
-from jaxscan.files.recording import repack_capture, store
+from jaxscan.files.recording import repack_capture
 
 from .conftest import BOARD, LASER, journal
 
@@ -128,7 +129,7 @@ def test_nothing_is_left_behind(folder, tmp_path, monkeypatch, broken):
     if broken == "image":
         (folder.path / "on/000004.png").write_bytes(b"\x89PNG\r\n\x1a\nrubbish")
     if broken == "disk":
-        monkeypatch.setattr(store.ShardStore, "write", full)
+        monkeypatch.setattr(recording.ShardStore, "write", full)
     before = sorted(os.listdir(folder.path / "on"))
     with pytest.raises((CaptureError, KeyboardInterrupt)) as caught:
         repack_capture(folder.path, tmp_path / "fast", storage="npy", progress=progress)
@@ -139,7 +140,7 @@ def test_nothing_is_left_behind(folder, tmp_path, monkeypatch, broken):
 def test_a_capture_that_grows_meanwhile_is_refused(folder, tmp_path, monkeypatch):
     folder.record(0)
     capture = open_capture(folder.path)
-    monkeypatch.setattr("jaxscan.files.recording.repack.open_capture", lambda path: capture)
+    monkeypatch.setattr("jaxscan.files.recording.open_capture", lambda path: capture)
     folder.record(1)
     with pytest.raises(CaptureError, match="has changed while it was read"):
         repack_capture(folder.path, tmp_path / "fast", storage="npy")

@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
+from jaxscan.files import recording
 from jaxscan.files.capture import open_capture
-from jaxscan.files.recording import create_capture, resume_capture, store
-from jaxscan.files.recording.store import SHARD_BYTES, ShardStore
+from jaxscan.files.recording import SHARD_BYTES, ShardStore, create_capture, resume_capture
 
 from .conftest import FRAMES, header, journal
 
@@ -32,7 +32,7 @@ def fill(capture, count, start=0):
 @pytest.fixture
 def small(monkeypatch):
     """Shards of four records."""
-    monkeypatch.setattr(store, "SHARD_RECORDS", 4)
+    monkeypatch.setattr(recording, "SHARD_RECORDS", 4)
 
 
 @pytest.mark.parametrize("durable", [True, False])
@@ -221,6 +221,7 @@ def test_a_killed_writer_leaves_a_capture_of_the_records_before(tmp_path, storag
     code = f"""
 import numpy as np
 from jaxscan.files.capture import CaptureHeader
+from jaxscan.files import recording
 from jaxscan.files.recording import create_capture
 head = CaptureHeader(kind="sweep", camera={{"width": 640, "height": 480, "pixel_format": "mono8"}}, laser=[{{}}])
 with create_capture({str(tmp_path / "room")!r}, head, storage={storage!r}) as capture:

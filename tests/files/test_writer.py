@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 from jaxscan.errors import CaptureError
+from jaxscan.files import recording
 from jaxscan.files.capture import header_toml, open_capture, parse_header
-from jaxscan.files.recording import create_capture, resume_capture, store
+from jaxscan.files.recording import create_capture, resume_capture
 
 from .conftest import CAMERA, FRAMES, header, journal
 
@@ -83,14 +84,14 @@ def test_a_retake_keeps_the_first_take_until_the_line_is_written(tmp_path):
 
 def test_lines_follow_images_in_order(tmp_path, monkeypatch):
     """While the first image is not written, later lines wait, however fast their images are."""
-    release, original = threading.Event(), store.write_atomically
+    release, original = threading.Event(), recording.write_atomically
 
     def slow(path, content, **keys):
         if path.name == "000000.zst":
             assert release.wait(timeout=30)
         original(path, content, **keys)
 
-    monkeypatch.setattr(store, "write_atomically", slow)
+    monkeypatch.setattr(recording, "write_atomically", slow)
     monkeypatch.setattr(os, "cpu_count", lambda: 4)
     with create_capture(tmp_path / "room", header()) as capture:
         for k in range(4):
@@ -102,7 +103,7 @@ def test_lines_follow_images_in_order(tmp_path, monkeypatch):
 
 
 def test_a_full_disk_is_one_clear_error_and_keeps_what_is_complete(tmp_path, monkeypatch):
-    original = store.write_atomically
+    original = recording.write_atomically
 
     def full(path, content, **keys):
         if path.name == "000002.zst":
@@ -113,7 +114,7 @@ def test_a_full_disk_is_one_clear_error_and_keeps_what_is_complete(tmp_path, mon
         original(path, content, **keys)
 
     capture = create_capture(tmp_path / "room", header())
-    monkeypatch.setattr(store, "write_atomically", full)
+    monkeypatch.setattr(recording, "write_atomically", full)
     for k in range(2):
         capture.append(angle_deg=float(k), on=FRAMES[k])
     # It is said as soon as it is known.

@@ -182,7 +182,7 @@ def test_nothing_is_compiled_for_numpy(rig, caplog):
     given = stripes()
     with jax.log_compiles(), caplog.at_level(logging.DEBUG, logger="jax"):
         functions(rig, *given)
-        rig.retract(np.full(rig.parameter_count(), 1e-4))
+        rig.retract(np.full(len(rig.layout().names), 1e-4))
         assert not [record for record in caplog.records if "ompiling" in record.getMessage()]
         # The log is not silent for another reason.
         jaxscan.rays(rig, jnp.asarray(given[0]))
@@ -228,8 +228,8 @@ def test_quaternions_and_nearest_rotations():
 
 def test_the_rig_moves_as_the_scanner_does(rig):
     scanner = Scanner(rig.camera, rig.lasers, rig.motion, laser_names=("one", "two"))
-    assert rig.parameter_count() == len(scanner.parameter_names())
-    step = 1e-3 * np.arange(1.0, 1 + rig.parameter_count())
+    assert len(rig.layout().names) == len(scanner.parameter_names())
+    step = 1e-3 * np.arange(1.0, 1 + len(rig.layout().names))
     moved = rig.retract(step)
     assert isinstance(moved, Rig)
     for ours, theirs in zip(

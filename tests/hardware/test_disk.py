@@ -16,8 +16,8 @@ from scanrig.errors import SessionError
 from scanrig.recording import LOCK_NAME, Ledger, folder_lock
 
 from jaxscan.errors import CaptureError
+from jaxscan.files import recording as captures
 from jaxscan.files.capture import CaptureHeader, open_capture, verify_capture
-from jaxscan.files.recording import store
 
 from .desk import Desk, journal
 
@@ -100,7 +100,7 @@ def test_20_a_real_disk_that_is_too_small_is_said_first(small_disk):
     ],
 )
 def test_20_a_write_that_fails(tmp_path, monkeypatch, name, code):
-    original = store.write_atomically
+    original = captures.write_atomically
 
     def failing(path, content, **keys):
         if str(path).endswith(name):
@@ -112,7 +112,7 @@ def test_20_a_write_that_fails(tmp_path, monkeypatch, name, code):
         original(path, content, **keys)
 
     desk = Desk()
-    monkeypatch.setattr(store, "write_atomically", failing)
+    monkeypatch.setattr(captures, "write_atomically", failing)
     if code == errno.ENOSPC:
         result = desk.sweep(tmp_path / "room")
         assert (result.status, result.records) == ("disk full", 3) and "No space left" in result.message

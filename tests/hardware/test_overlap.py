@@ -12,8 +12,8 @@ from scanrig.errors import FrameError
 from scanrig.recording import AHEAD
 from scanrig.session import session, steps
 
+from jaxscan.files import recording
 from jaxscan.files.capture import open_capture, verify_capture
-from jaxscan.files.recording import store, writer
 
 from .desk import HEIGHT, WIDTH, Desk, journal, records
 from .scanning import forked
@@ -169,7 +169,7 @@ def killed(at, folder):
             pass
         os.kill(os.getpid(), signal.SIGKILL)
 
-    prove, write, append = steps.prove, store.write_atomically, writer.append_whole
+    prove, write, append = steps.prove, recording.write_atomically, recording.append_whole
 
     def proving(taken, *rest):
         return die() if at == "proving" and taken.position == 3 * 288 else prove(taken, *rest)
@@ -180,7 +180,7 @@ def killed(at, folder):
     def appending(file, line, **keys):
         return die() if at == "appending" and b'"i": 3,' in line else append(file, line, **keys)
 
-    steps.prove, store.write_atomically, writer.append_whole = proving, writing, appending
+    steps.prove, recording.write_atomically, recording.append_whole = proving, writing, appending
     desk.sweep(folder)
 
 

@@ -456,9 +456,9 @@ def test_24_clock_that_jumps_back_by_a_year(tmp_path):
 
 def test_25_slow_disk_holds_the_table_and_loses_nothing(tmp_path, monkeypatch):
     """The disk writes a pair only when as many steps more were begun as may wait: no more ever do, and no fewer."""
-    from jaxscan.files.recording import store
+    from jaxscan.files import recording
 
-    original, desk, behind, shots = store.write_atomically, Desk(), [], threading.Condition()
+    original, desk, behind, shots = recording.write_atomically, Desk(), [], threading.Condition()
 
     def slow(path, content, **keys):
         with shots:
@@ -466,7 +466,7 @@ def test_25_slow_disk_holds_the_table_and_loses_nothing(tmp_path, monkeypatch):
             assert shots.wait_for(lambda: len(desk.controller.shots) >= enough, timeout=60)
         original(path, content, **keys)
 
-    monkeypatch.setattr(store, "write_atomically", slow)
+    monkeypatch.setattr(recording, "write_atomically", slow)
     shot = desk.controller.shot
 
     def counting(to, id, **keys):

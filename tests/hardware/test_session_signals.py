@@ -54,7 +54,7 @@ def test_10_a_signal_while_a_large_capture_is_verified(tmp_path, monkeypatch):
     folder = tmp_path / "room"
     Desk(sweep={"steps": 12}).sweep(folder, should_stop=After(6))
     before = (folder / "frames.jsonl").read_bytes()
-    monkeypatch.setattr("jaxscan.files.capture.verify._BLOCK", 2)
+    monkeypatch.setattr("jaxscan.files.capture.seals._BLOCK", 2)
     desk = Desk(sweep={"steps": 12})
     with pytest.raises(KeyboardInterrupt, match="SIGTERM"), Interrupts() as interrupts:
         desk.sweep(folder, resume=True, should_stop=lambda: os.kill(os.getpid(), signal.SIGTERM) or interrupts())

@@ -31,10 +31,7 @@ def groups():
     own = np.column_stack([np.linspace(-0.5, 0.5, 5), np.linspace(1, 2, 5)])[block]
     sigma = np.where(t < 1, 0.01, 0.02)
     y = 2.0 * np.sin(t + own[:, 0]) + own[:, 1] * t + 0.3 + sigma * random.normal(size=t.shape)
-    return [
-        Group(ray, {"t": t, "y": y}, sigma, block),
-        Group(gauge, np.array([3.0, 3.02]), 0.01),
-    ]
+    return [Group(ray, {"t": t, "y": y}, sigma, block), Group(gauge, np.array([3.0, 3.02]), 0.01)]
 
 
 START = {"bend": np.array(1.5), "more": np.array([0.1, 1.0])}

@@ -51,6 +51,23 @@ def test_what_hangs_on_a_wall_does_not_turn_it():
     assert found.value_deg == pytest.approx(90.0, abs=4 * found.sigma_deg) and found.sigma_deg < 0.1
 
 
+def test_two_profiles_on_a_wall_and_two_on_a_picture_are_refused():
+    """Through any two profiles goes a plane: through one on the wall and one on the picture a slanted one."""
+    # Profiles are 0.1 m apart.
+    hung = wall_cloud(lambda y, z: 2.1 - 0.03 * (y > 0.35), shape=(21, 100))
+    with pytest.raises(MeasurementError, match="profiles within"):
+        measure_angle(hung, A, [2.1, 0.38, 0.0], radius_m=0.19)
+
+
+def test_a_rough_place_has_a_larger_sigma():
+    def with_waves(high):
+        return wall_cloud(lambda y, z: 2.5 - np.abs(y) + high * np.sin(90 * y) * np.sin(80 * z))
+
+    found = measure_angle(with_waves(0.01), A, B)
+    assert found.sigma_deg > 3 * measure_angle(with_waves(0.0), A, B).sigma_deg
+    assert found.value_deg == pytest.approx(90.0, abs=3 * found.sigma_deg)
+
+
 def test_a_place_without_a_plane_is_refused():
     rough = wall_cloud(lambda y, z: 2.1 + 0.2 * np.sin(40 * y) * np.sin(35 * z))
     with pytest.raises(MeasurementError, match="flat place"):

@@ -6,14 +6,7 @@ import pytest
 from jaxscan.errors import CalibrationError
 from jaxscan.leastsq import chance_of
 from jaxscan.recalibration import Drift, HoldOut, Surfaces, Tracks
-from jaxscan.recalibration.judge import (
-    closure_of,
-    describe_surface,
-    gains_of,
-    hold_out,
-    refuse_result,
-    unobserved,
-)
+from jaxscan.recalibration.judge import closure_of, describe_surface, gains_of, hold_out, refuse_result, unobserved
 from jaxscan.recalibration.judge.drift import compare, scale_slopes, scales_of
 from jaxscan.recalibration.result import LengthGain
 

@@ -76,13 +76,15 @@ def test_a_lost_step_is_found_and_repaired(degrees, record):
     assert np.abs(error[away]).max() < np.deg2rad(0.05) + 3e-4 * 2 * np.pi + 1e-3
 
 
-def test_two_lost_steps_are_told_apart():
+@pytest.mark.parametrize("steps", [((100, 0.3), (240, 0.5)), ((90, 1.8), (285, 1.8))], ids=["small", "large"])
+def test_two_lost_steps_are_told_apart(steps):
+    """Small ones stand out of the errors; of two large ones the second is found by the break of its wall alone."""
     phi = np.linspace(0.0, 2 * np.pi, 360, endpoint=False)
     true = phi.copy()
-    true[100:] -= np.deg2rad(0.3)
-    true[240:] -= np.deg2rad(0.5)
+    for record, degrees in steps:
+        true[record:] -= np.deg2rad(degrees)
     found, _ = checked(phi, true, 7)
-    assert [record for _, record, _ in found.jumps] == pytest.approx([100, 240], abs=1)
+    assert [record for _, record, _ in found.jumps] == pytest.approx([record for record, _ in steps], abs=1)
     assert len(found.sentences) == 2
 
 

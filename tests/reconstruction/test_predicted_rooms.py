@@ -44,7 +44,7 @@ def test_the_room_is_predicted_without_any_stripe(shifts):
 
 
 def test_an_edge_that_two_steps_show_beside_its_place_leaves_no_line():
-    """A wrong distance leaves half a sample on either side; the darker of both would make a line of each edge."""
+    """A wrong distance leaves half a sample on either side; the darker of both would give a line at each edge."""
     own, others = _step(0, STRIPE), (_step(-28, STRIPE), _step(28, STRIPE))
     found = moved(own, others, (_places(-27.5), _places(27.5))).laser[0]
     bare = _step(0, STRIPE, peak=0).laser[0]

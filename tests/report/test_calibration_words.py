@@ -7,6 +7,7 @@ import pytest
 
 from jaxscan.calibration import Missed, Quality, SecondLook
 from jaxscan.calibration.result import BoardMap, GoodTo, GoodToPart, Lengths, LengthSigma, judge_views
+from jaxscan.geometry import Hand
 from jaxscan.report import Parameter, outcome_rows, parameters, quality_rows, words
 from jaxscan.report.tables import view_rows
 
@@ -37,6 +38,14 @@ class TestHeadline:
         assert found == words.Headline(
             "plain", "Good to 0.80 mm at 2.5 m", "The residuals look like noise. Its rays are good to 0.1 px."
         )
+
+    def test_poses_of_a_hand_are_in_the_first_sentence(self, calibration):
+        hand = replace(calibration.scanner, turntable=Hand.mounted(np.eye(4), (1e-4, 5e-4)))
+        found = words.headline(replace(calibration, scanner=hand))
+        assert found.headline == (
+            "Good to 0.80 mm at 2.5 m within one profile, and each pose of the hand adds 1.3 mm at 2.5 m"
+        )
+        assert "Each pose of the hand is off by 0.10 mm and 0.029 degrees." in found.explanation
 
     def test_a_limit_that_was_set_and_is_kept_makes_it_good(self, calibration):
         for settings, kind in (({"limit_mm": 1.0}, "good"), ({"limit_mm": None}, "plain"), ("nonsense", "plain")):

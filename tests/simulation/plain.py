@@ -11,14 +11,14 @@ F, CX, WIDTH = 300.0, 79.625, 160
 GREY = Material(((0.7, 0.7, 0.7),))
 
 
-def config(height=180, laser=None, **changes) -> SimulationConfig:
+def config(height=180, sheet=None, **changes) -> SimulationConfig:
     """A camera that looks along the scanner's x: camera z = x, camera x = -y, camera y = -z.
 
-    Its sheet crosses the optical axis at 2 m; `laser` has further numbers of it.
+    Its sheet crosses the optical axis at 2 m; `sheet` has further numbers of it.
     """
     base = {
         "camera": CameraSpec(width=WIDTH, height=height, fx=F, fy=F, cx=CX, cy=height / 2 + 0.3),
-        "laser": LaserSpec(**{"baseline_m": 0.3, "crossing_m": 2.0, **(laser or {})}),
+        "laser": LaserSpec(**{"baseline_m": 0.3, "crossing_m": 2.0, **(sheet or {})}),
         "turntable": TurntableSpec(direction=(0, -1, 0), point_m=(0, 0, 0)),
         "room": RoomSpec(furniture=False),
         "light": LightSpec(shadows=False),

@@ -36,12 +36,7 @@ def test_bright_light_saturates():
 
 @pytest.mark.parametrize(
     ("pixel_format", "sites"),
-    [
-        ("bayer_rggb8", "RGGB"),
-        ("bayer_bggr8", "BGGR"),
-        ("bayer_grbg8", "GRBG"),
-        ("bayer_gbrg8", "GBRG"),
-    ],
+    [("bayer_rggb8", "RGGB"), ("bayer_bggr8", "BGGR"), ("bayer_grbg8", "GRBG"), ("bayer_gbrg8", "GBRG")],
 )
 def test_the_mosaic_takes_the_sites_of_its_name(pixel_format, sites):
     image = np.ones((3, 5, 7), np.float32) * np.array([1, 2, 3], np.float32)[:, None, None]

@@ -1,5 +1,6 @@
 """Colour, Bayer, response, axis: the same stripe, seen another way."""
 
+import jax
 import numpy as np
 import pytest
 
@@ -168,3 +169,10 @@ def test_wrong_arrays(render):
         extract_stripes(scene.on.astype(np.float32))
     with pytest.raises(ValueError, match="at least one frame"):
         extract_stripes(scene.on[:0])
+
+
+@pytest.mark.parametrize("transform", [jax.jit, jax.vmap])
+def test_stripes_within_a_transformation_are_refused_in_words(transform):
+    frames = np.zeros((2, 8, 16), np.uint8)
+    with pytest.raises(TypeError, match="call it outside"):
+        transform(lambda on: extract_stripes(on, on).u)(frames)

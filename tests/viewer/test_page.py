@@ -505,6 +505,7 @@ def test_the_room_by_the_keyboard_and_over_a_reload(opened):
         return seen.mean() if len(seen) else np.inf
 
     settle(opened)
+    assert opened.too_wide() <= 0
     before = middle()
     # Moving to the right takes the cloud to the left.
     opened.at("cloud").send_keys("\ue008" + 2 * "\ue014")
@@ -514,8 +515,7 @@ def test_the_room_by_the_keyboard_and_over_a_reload(opened):
 def test_a_telephone(looks, url):
     looks.open(url, NARROW)
     looks.until(lambda: looks.colours("cloud") > 20)
-    wide = looks.driver.execute_script("return document.documentElement.scrollWidth")
-    assert wide <= NARROW[0]
+    assert looks.too_wide() <= 0
     top = "return document.getElementById('panel').getBoundingClientRect().top"
     above = looks.driver.execute_script(top)
     assert above > 0.5 * NARROW[1]

@@ -102,7 +102,7 @@ class Works:
             case "reconstruct":
                 self._call_verb("reconstruct", name, [path, "-c", str(self._needed()), "-o", cloud])
             case "plan":
-                self._call_verb("plan", name, [cloud, *known, "-o", str(captures.made(name, "plan"))])
+                self._call_verb("plan", name, [cloud, *known, "--name", name, "-o", str(captures.made(name, "plan"))])
             case "mesh":
                 texture = ["--texture", path, "-c", str(self._needed())]
                 self._call_verb("mesh", name, [cloud, *texture, "-o", str(captures.made(name, "mesh"))])

@@ -30,7 +30,7 @@ if TYPE_CHECKING:
         journal_objects,
         read_texts,
     )
-    from jaxscan.files.capture.seals import HEADER_SEAL, SEAL, SEALED_RECORDS, seal
+    from jaxscan.files.capture.seals import HEADER_SEAL, SEAL, SEALED_RECORDS, Problem, seal, seal_note, verify_capture
     from jaxscan.files.capture.stripe_cache import (
         CACHE_NAME,
         cache_path,
@@ -40,6 +40,5 @@ if TYPE_CHECKING:
         load_stripes,
         save_stripes,
     )
-    from jaxscan.files.capture.verify import Problem, seal_note, verify_capture
 else:
     load_on_use(__name__)

@@ -25,7 +25,7 @@ from jaxscan.stripes import LaserLine, PixelFormat, Response
 
 @dataclass(frozen=True, eq=False)
 class Capture:
-    """An opened capture; a sweep is a `SweepSource`. Images are read when they are asked for."""
+    """An opened capture; a sweep is a `SweepSource`. Images are read when they are needed."""
 
     path: Path
     header: CaptureHeader
@@ -91,7 +91,7 @@ class Capture:
 
     @property
     def angles(self) -> np.ndarray:
-        """The table's angle of each record, float64 [records], rad from home; of a linear stage, its position [m].
+        """The table's angle of each record, float64 [records], rad from home; for a linear stage its position [m].
 
         Raises:
             CaptureError: If one is unknown, as it may be in a calibration capture.

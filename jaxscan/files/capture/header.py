@@ -96,7 +96,7 @@ class CirclesTable(_Board):
 
     type: Literal["circles"] = "circles"
     spacing_mm: Length
-    """Distance of two rows; of neighbours in a row too, or, asymmetric, half of that."""
+    """Distance of two rows. Neighbours in a row are as far apart, or, in an asymmetric grid, twice as far."""
     diameter_mm: Length
     layout: Literal["asymmetric", "symmetric"] = "asymmetric"
 

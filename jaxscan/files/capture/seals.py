@@ -4,18 +4,29 @@ A record holds the sha256 of its images. A seal, at the end of the journal, hold
 the header, and the number of records. A change of an image therefore needs a change of the journal, and of the seal.
 """
 
+import functools
 import hashlib
 import json
-import re
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import numpy as np
-
 from jaxscan.errors import CaptureError
-from jaxscan.files.capture.header import HEADER_NAME
-from jaxscan.files.capture.journal import JOURNAL_NAME, MAX_JOURNAL_BYTES, CaptureTexts, ImageRef, journal_objects
-from jaxscan.files.disk import MEGABYTE, read_bounded
+from jaxscan.files.capture.header import HEADER_NAME, frame_shape, image_limit
+from jaxscan.files.capture.images import Shards, cores, difference, frame_digest
+from jaxscan.files.capture.journal import (
+    JOURNAL_NAME,
+    MAX_JOURNAL_BYTES,
+    CaptureTexts,
+    Folder,
+    ImageRef,
+    Record,
+    journal_objects,
+    read_texts,
+)
+from jaxscan.files.disk import MEGABYTE, file_digest, read_bounded
 
 
 SEAL = "journal_sha256"
@@ -92,21 +103,6 @@ def require_whole(state: Sealing) -> None:
         )
 
 
-def frame_digest(frame: np.ndarray) -> str:
-    """The sha256 of a frame in a shard, in hexadecimal digits."""
-    # Hashed as it lies in memory, without a copy where its rows follow each other.
-    return hashlib.sha256(np.ascontiguousarray(frame).reshape(-1).data).hexdigest()
-
-
-def difference(image: ImageRef, found: str) -> str | None:
-    """How the digest of an image differs from that in its record; None if they agree or the record has none."""
-    if image.sha256 is None:
-        return None
-    if not re.fullmatch("[0-9a-f]{64}", image.sha256):
-        return f"found {image.sha256!a:.40} in its record, expected a sha256"
-    return None if found == image.sha256 else f"found the sha256 {found[:12]}…, expected {image.sha256[:12]}…"
-
-
 def _seals(journal: bytes) -> list[tuple[int, dict[str, Any]]]:
     """The events that seal, with the place of their lines; other lines are not parsed."""
     found, key = [], f'"{SEAL}"'.encode()
@@ -122,3 +118,99 @@ def _seals(journal: bytes) -> list[tuple[int, dict[str, Any]]]:
             found.append((start, value))
         at = journal.find(key, end)
     return found
+
+
+# The check of a capture: its images against the digests in its records, header and journal against its seals.
+
+_BLOCK = 256
+_KEPT = 1 << 16
+"""Images whose digests are kept: many records may name one."""
+
+
+@dataclass(frozen=True)
+class Problem:
+    """A difference from the capture as it was written."""
+
+    record: int | None
+    """Number of the record that the image belongs to; None for the journal."""
+    message: str
+    lasting: bool = False
+    """Whether resuming the capture leaves it; traces of an interruption are cleaned up."""
+
+    def __str__(self) -> str:
+        return self.message if self.record is None else f"record {self.record}: {self.message}"
+
+
+def verify_capture(
+    path: str | Path, *, texts: CaptureTexts | None = None, progress: Callable[[int, int], None] | None = None
+) -> list[Problem]:
+    """Compare every image of a capture with the sha256 in its record, header and journal with its seals.
+
+    For records without digests, it is only checked that their images exist.
+
+    Args:
+        texts: Its header and journal, where they were read before.
+        progress: Called with (records done, records in all).
+
+    Returns:
+        The problems, in the order of the records; empty for an intact capture.
+
+    Raises:
+        CaptureError: If header or journal cannot be read.
+    """
+    path = Path(path)
+    texts = texts or read_texts(path)
+    records = texts.records
+    problems = [Problem(None, note) for note in texts.notes]
+    problems += [Problem(None, broken, lasting=True) for broken in sealing(texts, path).broken]
+    folder, shards = Folder(path), Shards(path, frame_shape(texts.header))
+    limit = image_limit(texts.header)
+
+    @functools.lru_cache(_KEPT)
+    def digest(image: ImageRef) -> str:
+        located = folder.locate(image)
+        if image.index is not None:
+            return frame_digest(shards.image(image))
+        return file_digest(located, limit=limit, error=CaptureError).removeprefix("sha256:")
+
+    with ThreadPoolExecutor(cores(), thread_name_prefix="jaxscan-verify") as pool:
+        for start in range(0, len(records), _BLOCK):
+            block = records[start : start + _BLOCK]
+            for found in pool.map(lambda record: _problems(record, folder, digest), block):
+                problems += found
+            if progress is not None:
+                progress(start + len(block), len(records))
+    return problems
+
+
+def seal_note(path: str | Path, *, texts: CaptureTexts | None = None) -> str:
+    """Why a change of the capture could stay unnoticed, in a sentence; "" where seal and digests cover all of it.
+
+    Raises:
+        CaptureError: If header or journal cannot be read.
+    """
+    texts = texts or read_texts(Path(path))
+    state = sealing(texts, Path(path))
+    bare = [record.i for record in texts.records if any(one.sha256 is None for one in (*record.on, *record.off))]
+    if len(bare) == len(texts.records):
+        return f"{path}: not sealed: its records have no digests, so it is only known that all images are there."
+    if bare:
+        return f"{path}: {len(bare)} of {len(texts.records)} records have no digests; the first is record {bare[0]}."
+    return state.note
+
+
+def _problems(record: Record, folder: Folder, digest: Callable[[ImageRef], str]) -> list[Problem]:
+    """The problems of one record's images; called by several threads."""
+    problems = []
+    for image in (*record.on, *record.off):
+        try:
+            # Without exposure and digest, so that an image that many records name is hashed once.
+            found = digest(ImageRef(image.path, image.index)) if image.sha256 is not None else ""
+            if image.sha256 is None:
+                folder.locate(image)
+        except CaptureError as problem:
+            problems.append(Problem(record.i, str(problem)))
+            continue
+        if (differs := difference(image, found)) is not None:
+            problems.append(Problem(record.i, f"{image}: {differs}; the file has changed."))
+    return problems

@@ -89,7 +89,7 @@ def load_stripes(path: str | Path) -> tuple[dict[str, np.ndarray], dict[str, Any
 
     Returns:
         arrays: By name.
-        key: As it was given, with the types of JSON.
+        key: The key that was given, in the types of JSON.
 
     Raises:
         CaptureError: If the file is missing, damaged, too large, or another kind of file.

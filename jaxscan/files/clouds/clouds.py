@@ -97,7 +97,7 @@ def save_clouds(
     """Write the clouds of several stations as one: E57 and PTX as a scan each with its pose, others joined.
 
     Args:
-        stations: Of each the cloud in its own scanner frame [m], T_room_scanner [4, 4], and the covariance [6, 6] of a
+        stations: The cloud of each in its own scanner frame [m], T_room_scanner [4, 4], and the covariance [6, 6] of a
             step (translation [m], rotation [rad]) in its own frame.
         path, calibration_digest: As in `save_cloud`.
 

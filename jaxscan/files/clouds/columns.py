@@ -1,8 +1,8 @@
 """What the columns of a cloud's file are, which number is full brightness, and which unit is stated: for every format.
 
 A table of this library says all that by its names. In those of other programs the same things have many names, colours
-have many ranges, and text often has no names at all. What is decided is said with its evidence, and a `Reading`, which
-a person gives, overrules it. What cannot be decided is refused with the columns that were found.
+have many ranges, and text often has no names at all. Every decision is reported with its evidence, and a `Reading`,
+which a person gives, overrules it. What cannot be decided is refused with the columns that were found.
 """
 
 import itertools
@@ -13,8 +13,8 @@ from typing import Literal, NamedTuple
 import numpy as np
 
 from jaxscan.errors import CloudError
-from jaxscan.files.clouds.grid import USED, Records, cloud_of
 from jaxscan.files.clouds.header import StoredCloud, about_of, version_of
+from jaxscan.files.clouds.points import USED, Records, cloud_of
 
 
 AXES, COLOURS, NORMALS = ("x", "y", "z"), ("red", "green", "blue"), ("nx", "ny", "nz")
@@ -216,7 +216,7 @@ class Extent(NamedTuple):
         return Extent(np.fmin.reduce(table), np.fmax.reduce(table), whole, unit, counts)
 
     def colours(self, columns: Columns) -> "Reach | None":
-        """Of the colours; None without colours."""
+        """The range of the colours; None without colours."""
         if not set(COLOURS) <= columns.places.keys():
             return None
         at = [columns.places[name] for name in COLOURS]
@@ -244,7 +244,7 @@ def guessed(extent: Extent, *, points: int, counted: bool) -> Columns:
     are a colour; three that are a unit vector a normal; and one that is left over is the intensity.
 
     Args:
-        extent: Of the columns.
+        extent: Statistics of the columns.
         points: Number of points.
         counted: Whether their number stands before them, as in a file of Leica's, where intensity comes before colours.
     """
@@ -314,7 +314,7 @@ class Reach(NamedTuple):
     whole: bool = True
 
     def with_more(self, values: np.ndarray) -> "Reach":
-        """The range of these colours and those of `other` together; NaN counts as 0."""
+        """The range of these colours and of further ones; NaN counts as 0."""
         values = np.nan_to_num(values)
         whole = values.dtype.kind != "f" or bool((values == np.floor(values)).all())
         return Reach(max(self.most, float(values.max(initial=0))), self.whole and whole)
@@ -342,7 +342,7 @@ def range_of(kind: np.dtype, reach: Reach, reading: Reading, *, stated: float | 
 
     Args:
         kind: Type of the numbers; a floating-point type where they come from text.
-        reach: Of all colours.
+        reach: The range of all colours.
         reading: What a person says.
         stated: What the file says.
     """
@@ -448,7 +448,7 @@ def stored_cloud(
         points: The records of the file, with its own names.
         lines: Its comments; those of our files are a header.
         columns: Where the reader has decided it, by the evidence `by`.
-        reach: Of the colours, where the reader knows it; else they are looked through.
+        reach: The range of the colours where the reader knows it; otherwise all points are read for it.
         profiles: As in `cloud_of`.
         words: Further decisions.
     """

@@ -15,8 +15,7 @@ from typing import Any, BinaryIO, NamedTuple
 import numpy as np
 
 from jaxscan.errors import CloudError, DependencyError
-from jaxscan.files.clouds.columns import Range, Reach, Reading, as_bytes, range_of
-from jaxscan.files.clouds.grid import Records, cloud_of
+from jaxscan.files.clouds.columns import AXES, NORMALS, Range, Reach, Reading, as_bytes, range_of
 from jaxscan.files.clouds.header import (
     METRE,
     About,
@@ -27,7 +26,7 @@ from jaxscan.files.clouds.header import (
     lines_of_grid,
 )
 from jaxscan.files.clouds.placing import epsg_of, wkt_of
-from jaxscan.files.clouds.points import blocks, columns, known_names
+from jaxscan.files.clouds.points import Records, blocks, cloud_of, columns, known_names
 from jaxscan.files.disk import Element, Part, parse_xml
 from jaxscan.geometry import from_quaternion, quaternion
 from jaxscan.reconstruction import SMOOTHED, PointCloud, Stations, of_station
@@ -36,7 +35,7 @@ from jaxscan.reconstruction import SMOOTHED, PointCloud, Stations, of_station
 NORMALS_URI = "http://www.libe57.org/E57_EXT_surface_normals.txt"
 """Namespace of the normals `nor:normalX` and so on, an extension that other programs know."""
 OWN_URI = "https://jaxscan.invalid/e57"
-"""Namespace of ours: `jaxscan:header`, the lines of a header, and values of points by the names of their columns."""
+"""Our own namespace: `jaxscan:header`, the lines of a header, and values of points by the names of their columns."""
 OWN = "jaxscan:"
 COLUMNS = {
     "cartesianX": "x",
@@ -53,6 +52,14 @@ COLUMNS = {
     "nor:normalZ": "nz",
 }
 """Columns that the standard and the extension of normals know."""
+_OWN_COLUMNS = {
+    f"{OWN}{name}": name
+    for name in (
+        *("sigma", "sigma_random", "sigma_systematic", "laser", "angle", "record"),
+        *(*SMOOTHED, "profile", "station"),
+    )
+}
+"""Columns that only our own extension has a place for."""
 
 
 def load_libe57() -> Any:
@@ -181,7 +188,7 @@ def read_blocks(
         place: Where the section begins, counted with checksums.
         count: Number of points.
         fields: All columns in their order.
-        wanted: Numbers of the columns that are asked for.
+        wanted: Numbers of the columns to read.
     """
     columns = [_Column(fields[k]) for k in wanted]
     packets = _packets(pages, place, len(fields))
@@ -322,24 +329,15 @@ _SINGLE_M = 128.0
 """Coordinates up to which a single is good to 8 um."""
 _UNIT = 1e-2
 """By how much the length of a quaternion may differ from 1, as it is written with few digits."""
-_AXES, _NORMAL = ("x", "y", "z"), ("nx", "ny", "nz")
 _CARTESIAN = {f"cartesian{axis}": axis.lower() for axis in "XYZ"}
 _SPHERICAL = {"sphericalRange": "range", "sphericalAzimuth": "azimuth", "sphericalElevation": "elevation"}
 _STATES = ("cartesianInvalidState", "sphericalInvalidState")
 _COLOUR_LIMITS = {colour: f"colorLimits/color{colour.title()}Maximum" for colour in ("red", "green", "blue")}
-_OWN_COLUMNS = {
-    f"{OWN}{name}": name
-    for name in (
-        *("sigma", "sigma_random", "sigma_systematic", "laser", "angle", "record", "profile", "station"),
-        *("sigma_row", "shift_px", "shared_lines"),
-    )
-}
-
 Block = dict[str, np.ndarray]
 
 
 def read_e57(file: BinaryIO, reading: Reading) -> StoredCloud:
-    """A cloud of all scans of an E57 file, in the frame of the file: of ours, on the grid with its stations."""
+    """A cloud of all scans of an E57 file, in the frame of the file; our own files give the grid and its stations."""
     size = os.fstat(file.fileno()).st_size
     place, length = _places(file.read(48), size)
     pages = Pages(file, size)
@@ -353,7 +351,7 @@ def read_e57(file: BinaryIO, reading: Reading) -> StoredCloud:
     cloud, about = _joined(scans), about_of(lines)
     frame = root.find("coordinateMetadata")
     epsg = about.epsg if about.epsg is not None or frame is None else epsg_of(frame.text)
-    # The standard knows no other unit, and z up in the frame of a levelled scanner.
+    # The standard has no other unit, and z is up in the frame of a levelled scanner.
     about = about._replace(epsg=epsg, metres=METRE, unit_by="the format", upright=True)
     return StoredCloud(cloud, about, () if lines else _words(scans))
 
@@ -458,24 +456,24 @@ class _StoredScan:
         self._full: dict[str, float] = {}
         ranges = self._ranges(scan, fields, reading)
         self.colours = ranges[0].words if ranges else ""
-        """What was decided about the range of its colours."""
+        """The decision on the range of its colours, in words."""
         if all(one.brightest for one in ranges):
             self._full = {colour: one.brightest for colour, one in zip(_COLOUR_LIMITS, ranges, strict=False)}
         for colour in () if self._full else _COLOUR_LIMITS:
             self._numbers.pop(colour, None)
         self.named = [column for column in self._numbers if column not in ("invalid", *_OWN_COLUMNS.values())]
         """Columns that the standard names."""
-        self.points, single = count, self._cartesian and all(fields[self._numbers[one]].type == "f4" for one in _AXES)
+        self.points, single = count, self._cartesian and all(fields[self._numbers[one]].type == "f4" for one in AXES)
         if "invalid" in self._numbers or (self._turns and single):
             # Singles suffice where nothing is lost by them; what is not finite is dropped later.
             self.points, reach = 0, 0.0
             for block in self.blocks(()):
                 self.points += len(block["x"])
-                places = np.abs([block[axis] for axis in _AXES])
+                places = np.abs([block[axis] for axis in AXES])
                 reach = max(reach, float(np.max(places, where=np.isfinite(places), initial=0.0)))
             single = single and (not self._turns or reach <= _SINGLE_M)
-        kept = [name for name in self._numbers if name not in (*_AXES, *_SPHERICAL.values(), "invalid")]
-        self.types = dict.fromkeys(_AXES, "f4" if single else "f8") | {
+        kept = [name for name in self._numbers if name not in (*AXES, *_SPHERICAL.values(), "invalid")]
+        self.types = dict.fromkeys(AXES, "f4" if single else "f8") | {
             name: "u1" if name in self._full else _type_in_cloud(fields[self._numbers[name]], name) for name in kept
         }
         """Type of each column."""
@@ -508,7 +506,7 @@ class _StoredScan:
 
     def blocks(self, wanted: Iterable[str]) -> Iterator[Block]:
         """The points that the scan calls valid with x, y, z and other columns, carried along by the pose."""
-        chosen = {*wanted, *_AXES, *_SPHERICAL.values(), "invalid"}
+        chosen = {*wanted, *AXES, *_SPHERICAL.values(), "invalid"}
         for block in self._columns([name for name in self._numbers if name in chosen]):
             if "invalid" in block:
                 valid = block.pop("invalid") == 0
@@ -516,7 +514,7 @@ class _StoredScan:
             for colour in self._full.keys() & block.keys():
                 block[colour] = as_bytes(block[colour], self._full[colour])
             block = block if self._cartesian else _cartesian(block)
-            for names, place in ((_AXES, self._pose[:3, 3]), (_NORMAL, np.zeros(3))) if self._turns else ():
+            for names, place in ((AXES, self._pose[:3, 3]), (NORMALS, np.zeros(3))) if self._turns else ():
                 if set(names) <= block.keys():
                     moved = np.stack([block[name].astype(np.float64) for name in names], -1) @ self._pose[:3, :3].T
                     block |= dict(zip(names, (moved + place).T, strict=True))
@@ -525,7 +523,7 @@ class _StoredScan:
 
 def _type_in_cloud(field: Field, column: str) -> str:
     """Type of a column: what is turned is a float, and what counts profiles or lines counts further in other scans."""
-    if column in _NORMAL:
+    if column in NORMALS:
         return field.type if field.single is not None else "f8"
     return "i4" if field.type == "u1" and column in ("step", "row", "profile", "record") else field.type
 
@@ -572,7 +570,7 @@ def _joined(scans: list[_StoredScan]) -> PointCloud:
                 points = np.zeros(len(block["x"]), kinds)
                 for field, values in block.items():
                     points[field] = values
-                # Of ours, profiles are counted through all stations, and steps in each.
+                # In our own files profiles are counted through all stations, and steps within each.
                 if part.lines and "profile" in block:
                     points["step"] = points["profile"]
                 yield points
@@ -593,8 +591,6 @@ def _words(scans: list[_StoredScan]) -> tuple[str, ...]:
     )
 
 
-_OURS = ("sigma", "sigma_random", "sigma_systematic", "laser", "angle", "record", *SMOOTHED, "profile", "station")
-"""Columns that only an extension has a place for."""
 _COLOURS = ("colorRed", "colorGreen", "colorBlue")
 _GPS_EPOCH_S, _LEAP_S = 315964800, 18
 """GPS time counts from 1980-01-06 without leap seconds."""
@@ -606,7 +602,7 @@ def write_e57(cloud: PointCloud, path: Part, about: About, around: Surroundings 
     The column is the profile of the station, the row the line. Points are in the station's own frame; the pose of the
     scan carries them into that of the room, and its description holds digest and covariance. Coordinates are float32,
     or float64 where the cloud holds it; intensity is float32. Sigmas, laser, angle and record are an extension.
-    What is around belongs to the first scan.
+    The surroundings belong to the first scan.
 
     Raises:
         CloudError: If the EPSG code is none in metres.
@@ -658,17 +654,17 @@ def write_e57_stations(stations: Sequence[Callable[[], PointCloud]], path: Part,
 def _columns(cloud: PointCloud, profile: np.ndarray | None, station: int) -> Iterator[dict[str, np.ndarray]]:
     """The columns of a scan by the names of the format, a block at a time, in types that the binding takes.
 
-    With the profile of the whole cloud where it has several stations.
+    Where the cloud has several stations, points also have their profile in the whole cloud.
     """
-    named = COLUMNS | {f"{OWN}{name}": name for name in _OURS}
     for points in blocks(cloud):
         values = columns(points, cloud)
+        kept = set(known_names(values, cloud))
         if profile is not None:
             values |= {"profile": profile[points.step], "station": np.full(len(points.step), station)}
-        kept = set(known_names(values, cloud))
+            kept |= {"profile", "station"}
         # A constant column takes no room in the file, and some readers require it.
         block: dict[str, np.ndarray] = {"cartesianInvalidState": np.zeros(len(points.step), np.longlong)}
-        for key, name in named.items():
+        for key, name in (COLUMNS | _OWN_COLUMNS).items():
             if name in kept:
                 # Bounds are checked in double. The binding takes NumPy's int64 for 32 bits, not longlong.
                 whole = np.uint8 if key in _COLOURS else np.longlong
@@ -811,7 +807,7 @@ class _File:
                 writer.write(count)
 
     def add_surroundings(self, around: Surroundings, pose: np.ndarray) -> None:
-        """Append what is seen around the first scan, whose pose T_file_scan is given."""
+        """Append pictures and times of the first scan, whose pose T_file_scan is given."""
         if around.started_s is not None:
             self._scans[0].set("acquisitionStart", self._node(_moment(around.started_s)))
         panorama = around.panorama

@@ -38,7 +38,7 @@ def read_stations(lines: Iterable[str], number: np.ndarray) -> Stations:
         kind, *words = line.split() or [""]
         if kind not in ("station", "station-covariance"):
             continue
-        # Of an earlier version the line of a station holds its covariance too.
+        # In files of an earlier version the line of a station also holds its covariance.
         counts = (_POSE, _POSE + _COVARIANCE) if kind == "station" else (_COVARIANCE,)
         expected = len(poses) if kind == "station" else len(poses) - 1
         try:

@@ -10,7 +10,6 @@ import numpy as np
 from jaxscan.errors import CloudError, DependencyError
 from jaxscan.files.clouds import points as sizes
 from jaxscan.files.clouds.columns import COLOURS, Reach, Reading, stored_cloud
-from jaxscan.files.clouds.grid import Records
 from jaxscan.files.clouds.header import About, StoredCloud, frame_of, header_lines
 from jaxscan.files.clouds.placing import (
     LOCAL_WKT,
@@ -21,7 +20,7 @@ from jaxscan.files.clouds.placing import (
     frame_of_wkt,
     wkt_of,
 )
-from jaxscan.files.clouds.points import blocks, columns, known_names, smoothed_names
+from jaxscan.files.clouds.points import Records, blocks, columns, known_names
 from jaxscan.files.disk import Part
 from jaxscan.reconstruction import CloudPoints, PointCloud
 
@@ -191,7 +190,7 @@ def _check(file: BinaryIO, sizes: Sizes, size: int) -> None:
 
 
 def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, Reach]:
-    """All columns that a cloud may use, and the largest colour; without those of the format that are 0 throughout."""
+    """All columns that a cloud may use, but for those of the format that are 0 everywhere; and the largest colour."""
     with _opened(laspy, file, given) as reader:
         header = reader.header
     scales, offsets = np.array(header.scales), np.array(header.offsets)
@@ -326,14 +325,12 @@ _EXTRA = {
     "row": "line of the grid",
     "angle": "of the profile [rad]",
     "record": "of the capture",
-}
-_STATION_EXTRA = {"station": "place of the scanner"}
-_TYPES = {"step": np.int32, "row": np.int32, "record": np.int32, "angle": np.float64, "station": np.uint8}
-_SMOOTHED_EXTRA = {
     "sigma_row": "noise, of the row alone [m]",
     "shift_px": "centre of the row - this [px]",
     "shared_lines": "lines that share its noise",
+    "station": "place of the scanner",
 }
+_TYPES = {"step": np.int32, "row": np.int32, "record": np.int32, "angle": np.float64, "station": np.uint8}
 
 
 def write_las(cloud: PointCloud, path: Part, about: About) -> None:
@@ -343,7 +340,7 @@ def write_las(cloud: PointCloud, path: Part, about: About) -> None:
     the extra bytes hold it in DN. A record of our own holds digest, grid and stations.
     """
     laspy = load_laspy(compressed=path.suffix.lower() == ".laz")
-    # Without colours, point format 6.
+    # Point format 6 has no colours.
     header = laspy.LasHeader(point_format=6 if "rgb" in cloud.lacks else 7, version="1.4")
     header.offsets, header.scales = _placed(cloud)
     header.generating_software = "jaxscan"
@@ -353,13 +350,8 @@ def write_las(cloud: PointCloud, path: Part, about: About) -> None:
     header.vlrs.append(laspy.vlrs.known.WktCoordinateSystemVlr(wkt))
     text = "\n".join(header_lines(cloud, about)).encode("ascii")
     header.vlrs.append(laspy.VLR(*HEADER_RECORD, "header of the cloud", text))
-    extra = {name: _EXTRA[name] for name in known_names(_EXTRA, cloud)} | {
-        name: _SMOOTHED_EXTRA[name] for name in smoothed_names(cloud)
-    }
-    extra |= {} if cloud.stations is None else _STATION_EXTRA
-    header.add_extra_dims(
-        [laspy.ExtraBytesParams(name, _TYPES.get(name, np.float32), description) for name, description in extra.items()]
-    )
+    extra = known_names(_EXTRA, cloud)
+    header.add_extra_dims([laspy.ExtraBytesParams(name, _TYPES.get(name, np.float32), _EXTRA[name]) for name in extra])
     brightest = (
         0.0 if "intensity" in cloud.lacks else float(np.max(cloud.intensity, where=cloud.valid, initial=-np.inf))
     )
@@ -371,7 +363,7 @@ def write_las(cloud: PointCloud, path: Part, about: About) -> None:
             laspy.LasWriter(file, header, do_compress=path.suffix.lower() == ".laz", closefd=False) as writer,
         ):
             for points in blocks(cloud):
-                writer.write_points(_record(laspy, header, points, cloud, list(extra), scale))
+                writer.write_points(_record(laspy, header, points, cloud, extra, scale))
     except Exception as problem:
         # lazrs, which is loaded for compressed points alone, has an error of its own for a disk that takes no more.
         if type(problem).__name__ != "LazrsError":

@@ -9,10 +9,10 @@ import numpy as np
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
 from jaxscan.files.clouds.columns import COLOURS, Reading, plain_names, stored_cloud
-from jaxscan.files.clouds.grid import Records
 from jaxscan.files.clouds.header import SEAL_LINE, About, StoredCloud, check_seal, header_lines, seal
 from jaxscan.files.clouds.points import (
     POINT,
+    Records,
     blocks,
     columns,
     numbers_of,
@@ -210,12 +210,9 @@ def _flat(dtype: np.dtype) -> np.dtype:
 
 
 def _colour_of(dtype: np.dtype) -> str | None:
-    """The field that holds a packed colour."""
-    return next((name for name in ("rgb", "rgba") if name in (dtype.names or ()) and _is_colour(dtype[name])), None)
-
-
-def _is_colour(field: np.dtype) -> bool:
-    return not field.shape and field.itemsize == 4
+    """The field that holds a packed colour: one number of four bytes."""
+    named = [name for name in ("rgb", "rgba") if name in (dtype.names or ())]
+    return next((name for name in named if not dtype[name].shape and dtype[name].itemsize == 4), None)
 
 
 def _unpacked_type(dtype: np.dtype) -> np.dtype:

@@ -9,9 +9,8 @@ import numpy as np
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
 from jaxscan.files.clouds.columns import Reading, stored_cloud
-from jaxscan.files.clouds.grid import Records
 from jaxscan.files.clouds.header import SEAL_LINE, About, StoredCloud, check_seal, header_lines, seal
-from jaxscan.files.clouds.points import POINT, blocks, columns, numbers_of, record_of, table, text_lines
+from jaxscan.files.clouds.points import POINT, Records, blocks, columns, numbers_of, record_of, table, text_lines
 from jaxscan.files.disk import Part
 from jaxscan.reconstruction import PointCloud
 

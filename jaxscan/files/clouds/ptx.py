@@ -8,9 +8,17 @@ import numpy as np
 from jaxscan.errors import CloudError
 from jaxscan.files.clouds import points as sizes
 from jaxscan.files.clouds.columns import COLOURS, Reach, Reading, as_bytes, range_of
-from jaxscan.files.clouds.grid import MAX_CELLS, Records, cloud_of, on_grid
 from jaxscan.files.clouds.header import METRE, About, StoredCloud
-from jaxscan.files.clouds.points import LONGEST_LINE, MAX_STATIONS, numbers_of, text_lines
+from jaxscan.files.clouds.points import (
+    LONGEST_LINE,
+    MAX_CELLS,
+    MAX_STATIONS,
+    Records,
+    cloud_of,
+    numbers_of,
+    on_grid,
+    text_lines,
+)
 from jaxscan.files.disk import Part
 from jaxscan.reconstruction import PointCloud, Stations, of_station
 
@@ -39,7 +47,7 @@ class _Block(NamedTuple):
     parts: list[np.ndarray]
     """The points that were seen, structured arrays in the frame of the file; `step` counts columns of the block."""
     reach: Reach | None
-    """Of its colours; None where it has none."""
+    """The range of its colours; None where it has none."""
 
 
 def read_ptx(file: BinaryIO, reading: Reading) -> StoredCloud:
@@ -134,7 +142,7 @@ def _joined(blocks: list[_Block], left: tuple[str, ...]) -> PointCloud:
     for block in blocks:
         known = [np.array_equal(block.pose, pose) for pose in poses]
         station = known.index(True) if any(known) else len(poses)
-        # Of one place, blocks are those of several lasers.
+        # Blocks with the same pose are those of several lasers.
         laser = sum(number == station for number in numbers)
         poses += [] if any(known) else [block.pose]
         numbers.append(station)
@@ -236,7 +244,7 @@ def _directions(cloud: PointCloud, profiles: np.ndarray) -> tuple[bool, bool]:
 
 
 def _parts(lines: int, *, reverse: bool = False) -> list[slice]:
-    """Lines that are looked at together: as words and numbers of Python each takes ten times the memory."""
+    """Lines that are read together: as words and numbers of Python each takes ten times the memory."""
     parts = [slice(start, min(start + _AT_ONCE, lines)) for start in range(0, lines, _AT_ONCE)]
     return parts[::-1] if reverse else parts
 

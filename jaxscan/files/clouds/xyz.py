@@ -25,9 +25,8 @@ from jaxscan.files.clouds.columns import (
     listed,
     stored_cloud,
 )
-from jaxscan.files.clouds.grid import Records
 from jaxscan.files.clouds.header import About, StoredCloud
-from jaxscan.files.clouds.points import LONGEST_LINE, blocks, numbers_of, text_lines
+from jaxscan.files.clouds.points import LONGEST_LINE, Records, blocks, numbers_of, text_lines
 from jaxscan.files.disk import Part
 from jaxscan.reconstruction import PointCloud
 

@@ -5,17 +5,6 @@ from jaxscan.facades import TYPE_CHECKING, load_on_use
 
 if TYPE_CHECKING:
     from jaxscan.files.disk.arrays import NPY_DAMAGE, check_arrays, read_arrays, read_npy_header, write_arrays
-    from jaxscan.files.disk.atomic import (
-        Part,
-        check_writable,
-        forget_partials,
-        partial_file,
-        partial_folder,
-        remove_stale,
-        whole_folder,
-        write_atomically,
-        write_together,
-    )
     from jaxscan.files.disk.config import (
         FileModel,
         ImageSize,
@@ -44,13 +33,21 @@ if TYPE_CHECKING:
         too_deep,
     )
     from jaxscan.files.disk.writing import (
+        Part,
         append_whole,
+        check_writable,
+        forget_partials,
         is_outside,
         make_folder,
-        open_to_append,
         open_to_write,
+        partial_file,
+        partial_folder,
         refuse_links,
+        remove_stale,
         sync_to_disk,
+        whole_folder,
+        write_atomically,
+        write_together,
     )
     from jaxscan.files.disk.xml import Element, parse_xml
 else:

@@ -15,8 +15,8 @@ from typing import BinaryIO, cast
 import numpy as np
 
 from jaxscan.errors import JaxscanError
-from jaxscan.files.disk.atomic import Part
 from jaxscan.files.disk.reading import Links, open_regular
+from jaxscan.files.disk.writing import Part
 
 
 MAX_ARRAYS_BYTES = 1 << 34

@@ -39,7 +39,7 @@ class FolderLock:
     """Holds a folder until the end of `with`, or of the process.
 
     The system's lock on the file decides between programs of this machine, and is free when its holder has died. A
-    holder on another machine, or on a disk without locks, is believed to live until a person deletes the file. No link
+    holder on another machine, or on a disk without locks, counts as alive until a person deletes the file. No link
     is followed.
     """
 

@@ -59,7 +59,7 @@ def open_regular(
             raise error(f"{path}: found {found}, expected a file.")
         if limit is not None and status.st_size > limit:
             raise error(f"{path}: larger than the {limit / MEGABYTE:g} MiB that such a file may have.")
-        # By this name libraries open it, and messages call it.
+        # Libraries open the file by this name, and messages contain it.
         return open(path, "rb", opener=lambda *_: handle)
     except BaseException:
         os.close(handle)

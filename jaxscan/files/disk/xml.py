@@ -1,7 +1,7 @@
 """The one door through which XML is read: UTF-8 without definitions, of bounded size, depth and number of elements.
 
-Nothing in a file is looked up: there are no entities but the five of XML itself, no document types, and no other file
-or address is ever asked for.
+Nothing in a file is looked up: entities other than the five of XML itself and document types are refused, and no other
+file or address is ever opened.
 """
 
 import re

@@ -10,9 +10,8 @@ from pathlib import Path, PurePath
 from typing import Literal, NamedTuple
 
 from jaxscan.errors import CaptureError, OptionError
-from jaxscan.files.importing.frames import count_frames
-from jaxscan.files.importing.listing import VIDEOS, Listing, Matched, match, natural, numbers_and_words
 from jaxscan.files.importing.plan import ImportRequest, Roles
+from jaxscan.files.importing.sources import VIDEOS, Listing, Matched, count_frames, match, natural, numbers_and_words
 
 
 Role = Literal["on", "off", "texture", "board"]
@@ -111,11 +110,6 @@ def group(names: Sequence[str]) -> list[NameGroup]:
     return [NameGroup(pattern, files, first[pattern], last[pattern]) for pattern, files in counts.most_common()]
 
 
-def is_video(name: str) -> bool:
-    """Whether a file's name is that of a video."""
-    return name.lower().endswith(VIDEOS)
-
-
 _GROUPS = 8
 
 
@@ -193,7 +187,7 @@ def _numbered(names: Sequence[str], expression: str) -> tuple[Matched, ...]:
 def _with_frames(folder: Path, roles: Roles, every: int) -> Roles:
     """The roles with videos replaced by their frames."""
     files = [file for _, group in roles.on for file in group] + [file for group in roles.off for file in group]
-    videos = {file.name for file in (*files, *roles.boards) if is_video(file.name)}
+    videos = {file.name for file in (*files, *roles.boards) if file.name.lower().endswith(VIDEOS)}
     if not videos:
         return roles
     counted = {name: count_frames(folder, name) for name in sorted(videos)}

@@ -1,4 +1,4 @@
-"""The camera models, by name; the file of a model has its name, and is loaded when the model is first asked for."""
+"""The camera models, by name; the file of a model has its name, and is loaded when the model is first used."""
 
 import functools
 from collections.abc import Iterator, Mapping
@@ -15,7 +15,7 @@ MODELS: dict[str, tuple[str, ...]] = {
     "double_sphere": ("sphere",),
 }
 """The models with the names of their blocks of coefficients. To add one: a file of its name with its class, and a line
-here, from which `--help` has its choices."""
+here, whose names `--lens`, `--free` and `--hold` offer."""
 
 if TYPE_CHECKING:
     CameraModel = str

@@ -28,9 +28,9 @@ class Estimate:
     value: float
     sigma: float
     sigma_random: float
-    """From the scatter of the points."""
+    """The part from the scatter of the points."""
     sigma_systematic: float
-    """From the covariances of the calibration and of the poses of stations; 0 where they are not known."""
+    """The part from the covariances of the calibration and of the poses of stations; 0 where they are not known."""
 
     @property
     def known(self) -> bool:

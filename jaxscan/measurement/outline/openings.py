@@ -52,7 +52,7 @@ class Opening:
     depth_m: float | None
     """How far behind the wall, or before it where negative, rays ended (median); None where none came back."""
     left: Estimate
-    """From the wall's first corner, as the outline goes [m]."""
+    """Place from the wall's first corner on, as the outline goes [m]."""
     right: Estimate
     bottom: Estimate
     """Above the floor [m]."""

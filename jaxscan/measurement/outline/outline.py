@@ -54,7 +54,7 @@ class Side:
     seen: bool
     """Whether there is a wall; otherwise the plane only closes the outline."""
     gaps: tuple[float, float] = (np.inf, np.inf)
-    """From its first and its last corner to the nearest points of the wall [m]."""
+    """Distances from its first and its last corner to the nearest points of the wall [m]."""
 
     def moved(self, frame: Frame) -> "Side":
         """The side in another frame."""

@@ -33,7 +33,7 @@ class Noise(NamedTuple):
     """Noise of stripe centres on surfaces: variance = (stripe * given sigma)^2 + (wall / reach)^2."""
 
     stripe: float
-    """Over the given sigmas [1]."""
+    """Noise of stripes over the given sigmas [1]."""
     wall_m: float
     """Roughness [m]."""
 
@@ -45,9 +45,7 @@ class Noise(NamedTuple):
 
 
 def learn_noise(
-    square: Float[np.ndarray, " points"],
-    given_px: Float[np.ndarray, " points"],
-    reach: Float[np.ndarray, " points"],
+    square: Float[np.ndarray, " points"], given_px: Float[np.ndarray, " points"], reach: Float[np.ndarray, " points"]
 ) -> Noise:
     """Variance components of the noise, by iterated weighted least squares of squared errors [px^2].
 

@@ -73,7 +73,7 @@ class State:
     noise: Noise
     board_data: BoardData | None = None
     sighting_noise: float = 1.0
-    """Over the given sigmas [1]."""
+    """Noise of sightings over the given sigmas [1]."""
     heights: Float[np.ndarray, " sizes"] = field(default_factory=lambda: np.zeros(STOPS + 1))
     """Standard deviation of the heights of patches of each size [m], and of the table's stops [rad]."""
     stop_sigma: float = FIRST_STOP
@@ -243,10 +243,7 @@ class State:
 
 
 def adjust(
-    prior: Scanner,
-    start: Start,
-    observations: RoomObservations,
-    settings: RecalibrationSettings | None = None,
+    prior: Scanner, start: Start, observations: RoomObservations, settings: RecalibrationSettings | None = None
 ) -> Adjusted:
     """Scanner, stations, surfaces and angles in one least squares of all observations and the stored calibration.
 

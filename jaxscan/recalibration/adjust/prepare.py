@@ -37,7 +37,7 @@ class Angles(NamedTuple):
 
     first: Int[np.ndarray, " sweeps"]
     phi: Float[np.ndarray, " records"]
-    """With known faults corrected [rad from home]."""
+    """Angles of the records, known faults corrected [rad from home]."""
     known: tuple[Float[np.ndarray, " records"], ...]
     """The known faults of every sweep [rad]."""
     knot: Int[np.ndarray, " records"]

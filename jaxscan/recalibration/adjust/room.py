@@ -49,7 +49,7 @@ class Places(NamedTuple):
     centre: Float[Array, "surfaces 3"]
     """Planes tilt about it."""
     offset: Float[Array, " surfaces"]
-    """From the centre along the normal [m]."""
+    """Distance of the plane from the centre along the normal [m]."""
     point: Float[Array, "tracks 3"]
 
 

@@ -236,10 +236,7 @@ def parts_of(scanner: Scanner) -> tuple[Part, ...]:
     ]
     axis = Part("axis", ("axis.d1", "axis.d2", "axis.p1", "axis.p2"), (_TILT, _TILT, _SHIFT, _SHIFT))
     camera = Part(
-        "camera",
-        ("fx", "fy", "cx", "cy"),
-        (_FOCUS * focal[0], _FOCUS * focal[1], _CENTRE_PX, _CENTRE_PX),
-        ("fx", "fy"),
+        "camera", ("fx", "fy", "cx", "cy"), (_FOCUS * focal[0], _FOCUS * focal[1], _CENTRE_PX, _CENTRE_PX), ("fx", "fy")
     )
     table = Part(TABLE_PART, ("gain", "c1", "s1", "c2", "s2"), (_GAIN, *(_HARMONIC,) * 4))
     parts = [*lasers, axis, camera, table] if isinstance(scanner.turntable, Turntable) else [*lasers, camera]
@@ -452,7 +449,7 @@ class Verdict(NamedTuple):
     loosened: Float[np.ndarray, "params params"]
     """Variance that was added to the stored covariance."""
     adjusted: Adjusted
-    """With that prior."""
+    """The solve with that prior."""
     notes: tuple[str, ...] = ()
 
 

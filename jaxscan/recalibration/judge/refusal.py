@@ -28,11 +28,7 @@ _LEAST_SCALE = 0.01
 
 
 def refuse_result(
-    adjusted: Adjusted,
-    compared: Compared,
-    drift: Drift,
-    held_out: HoldOut | None,
-    lengths: Sequence[LengthGain],
+    adjusted: Adjusted, compared: Compared, drift: Drift, held_out: HoldOut | None, lengths: Sequence[LengthGain]
 ) -> str:
     """The first reason not to update; empty where there is none."""
     best = float(np.max(compared.factor, initial=1.0))
@@ -128,7 +124,7 @@ def adjusted_scale(adjusted: Adjusted) -> float:
 
 
 def count_directions(surfaces: Surfaces) -> int:
-    """In how many directions planes face; opposite walls count once."""
+    """Number of directions in which planes face; opposite walls count once."""
     found: list[np.ndarray] = []
     for normal in surfaces.normal:
         if all(abs(normal @ other) < _SAME_DIRECTION for other in found):

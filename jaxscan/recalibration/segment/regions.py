@@ -216,11 +216,7 @@ def _factor(ratios: np.ndarray) -> float:
 
 
 def _curved(
-    cells: Cells,
-    normal: np.ndarray,
-    even: np.ndarray,
-    half: tuple[np.ndarray, np.ndarray],
-    sigma: np.ndarray,
+    cells: Cells, normal: np.ndarray, even: np.ndarray, half: tuple[np.ndarray, np.ndarray], sigma: np.ndarray
 ) -> np.ndarray:
     """Where normals turn along the surface, in either direction of the grid."""
     rows, columns = even.shape
@@ -408,11 +404,7 @@ def flat_regions(cells: Cells, scanner: Scanner) -> list[Region]:
 
 
 def _grown(
-    cells: Cells,
-    around: Surroundings,
-    left: Bool[np.ndarray, "rows columns"],
-    bend: np.ndarray,
-    place: np.ndarray,
+    cells: Cells, around: Surroundings, left: Bool[np.ndarray, "rows columns"], bend: np.ndarray, place: np.ndarray
 ) -> tuple[Region | None, Bool[np.ndarray, "rows columns"]]:
     """A region around the best seed, if it is flat, and the cells that need not be tried again."""
     from scipy.ndimage import label  # type: ignore[import-untyped]

@@ -46,10 +46,7 @@ def _no_plane(sweeps: Sequence[SweepStripes]) -> str:
 
 
 def observe_surfaces(
-    sweeps: Sequence[SweepStripes],
-    scanner: Scanner,
-    stations: Float[np.ndarray, "stations 4 4"],
-    most: int = 40_000,
+    sweeps: Sequence[SweepStripes], scanner: Scanner, stations: Float[np.ndarray, "stations 4 4"], most: int = 40_000
 ) -> tuple[SurfacePoints, Surfaces]:
     """Planes of the room, and points on them that are spread evenly and whose noise is independent.
 

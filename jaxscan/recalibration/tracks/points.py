@@ -27,7 +27,7 @@ class Triangulated(NamedTuple):
 
     point: Float[np.ndarray, "tracks 3"]
     covariance: Float[np.ndarray, "tracks 3 3"]
-    """By the sightings' noise [m^2]."""
+    """Covariance by the noise of the sightings [m^2]."""
     range_m: Float[np.ndarray, " tracks"]
     """Mean distance from the camera; negative behind it."""
     valid: Bool[np.ndarray, " tracks"]
@@ -171,7 +171,7 @@ class Sightings(NamedTuple):
 
     q: Float[np.ndarray, "n 2"]
     sigma: Float[np.ndarray, " n"]
-    """As the finder states it [px]."""
+    """Standard deviation that the detector states [px]."""
     angle: Float[np.ndarray, " n"]
     key: Int[np.ndarray, " n"]
     track: Int[np.ndarray, " n"]

@@ -278,11 +278,10 @@ def _by_distance(far: np.ndarray, sigma: np.ndarray) -> tuple[SigmaAt, ...]:
 
 
 def _beyond(p: np.ndarray, box: RoomBox | None) -> int | None:
-    sides = [] if box is None else [side for side in (box.length, box.width, box.height) if side is not None]
-    if box is None or not sides:
+    if box is None or not box.sides:
         return None
     outside = np.zeros(len(p), bool)
-    for side in sides:
+    for side in box.sides.values():
         outside |= np.abs((p - box.centre_m) @ side.direction) > 0.5 * side.value_m + BEYOND_M
     return int(outside.sum())
 

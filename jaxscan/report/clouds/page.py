@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
-from jaxscan.measurement import Dimension, RoomBox
+from jaxscan.measurement import RoomBox
 from jaxscan.report.clouds.facts import Beside, Directions, Facts, SigmaAt
 from jaxscan.report.clouds.picture import dimension_text, room_picture
 from jaxscan.report.drawing import BLUE, RED, ROUND, SOFT, add_bar, add_legend, drawn, new_plot
@@ -103,7 +103,7 @@ def cloud_page(facts: Facts, box: RoomBox | None, around: Beside) -> str:
     """The report of a reconstruction: an HTML document that fetches nothing and runs no scripts.
 
     Args:
-        facts: Of the cloud.
+        facts: Statistics of the cloud.
         box: The room's dimensions, where some were found.
         around: What is known beside the cloud's points, as plain text.
     """
@@ -125,7 +125,8 @@ def cloud_page(facts: Facts, box: RoomBox | None, around: Beside) -> str:
 
 
 def _tiles(facts: Facts, box: RoomBox | None) -> Html:
-    values = [(f"{side.value_m:.4f} m", f"{name}, ± {1e3 * side.sigma_m:.2f} mm") for name, side in _sides(box)]
+    sides = {} if box is None else box.sides
+    values = [(f"{side.value_m:.4f} m", f"{name}, ± {1e3 * side.sigma_m:.2f} mm") for name, side in sides.items()]
     seen = facts.directions[0]
     values.append(
         (f"{100 * seen.share(of_band=True):.1f} %", "of the directions that the scanner looks at have points")
@@ -133,13 +134,6 @@ def _tiles(facts: Facts, box: RoomBox | None) -> Html:
     if facts.median_sigma_m is not None:
         values.append((f"± {millimetres(1e3 * facts.median_sigma_m)}", "median standard deviation of a point"))
     return tiles(values)
-
-
-def _sides(box: RoomBox | None) -> list[tuple[str, Dimension]]:
-    if box is None:
-        return []
-    named = (("length", box.length), ("width", box.width), ("height", box.height))
-    return [(name, side) for name, side in named if side is not None]
 
 
 def _picture(facts: Facts, box: RoomBox | None) -> Html:
@@ -176,7 +170,7 @@ def _dimensions(box: RoomBox | None, around: Beside) -> Html:
             f"{side.points:,}",
             f"{side.angle_deg:.3f}°",
         )
-        for name, side in _sides(box)
+        for name, side in box.sides.items()
     ]
     columns = ("", "wall to wall", "from the points", "from the calibration", "wall RMS", "points", "not parallel by")
     text = (

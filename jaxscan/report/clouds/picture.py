@@ -197,7 +197,7 @@ def is_turned(cloud: Cloud) -> bool:
 
 
 def _axes(xyz: np.ndarray, box: RoomBox | None) -> tuple[Axis, Axis, Axis]:
-    found = [] if box is None else [side for side in (box.length, box.width, box.height) if side is not None]
+    found = [] if box is None else list(box.sides.values())
     level = [side for side in found if side is not (box and box.height)]
     directions = room_box(xyz)[0] if not level else _upright(level[0].direction)
     axes = []

@@ -117,7 +117,7 @@ class Met(NamedTuple):
     triangle: np.ndarray
     on_board: np.ndarray
     place: np.ndarray
-    """As in `Hits`."""
+    """Board coordinates, as in `Hits`."""
 
 
 class Hits(NamedTuple):

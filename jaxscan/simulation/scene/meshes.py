@@ -42,13 +42,7 @@ class Mesh:
         self.add(corners, Surface(material, o, a / np.linalg.norm(a), b / np.linalg.norm(b)))
 
     def box(
-        self,
-        foot: Place,
-        size: Place,
-        material: Material,
-        *,
-        yaw: float = 0.0,
-        front: Material | None = None,
+        self, foot: Place, size: Place, material: Material, *, yaw: float = 0.0, front: Material | None = None
     ) -> None:
         """A box on its foot's middle point, `size` along its own x, y, z, turned by `yaw` [rad].
 

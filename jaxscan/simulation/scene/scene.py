@@ -84,7 +84,7 @@ def _shell(mesh: Mesh, room: RoomSpec) -> None:
 
 
 def _mirror(mesh: Mesh, room: RoomSpec, mirror: MirrorSpec) -> None:
-    """In front of a wall by more than skirting and pictures are thick."""
+    """A mirror that hangs in front of a wall by more than skirting and pictures are thick."""
     axis, far = "xy".index(mirror.wall[0]), mirror.wall[1] == "1"
     width, height = mirror.size_m
     low, along = np.zeros(3), np.zeros(3)
@@ -130,7 +130,7 @@ def _pictures(mesh: Mesh, room: RoomSpec) -> None:
 
 
 def _sofa(mesh: Mesh, room: RoomSpec) -> None:
-    """Against the wall x = X, its front towards the room."""
+    """A sofa against the wall x = X, its front towards the room."""
     x, y, _ = room.size_m
     at = 0.42 * y
 
@@ -145,7 +145,7 @@ def _sofa(mesh: Mesh, room: RoomSpec) -> None:
 
 
 def _shelf(mesh: Mesh, room: RoomSpec) -> None:
-    """Against the wall y = Y: four boards, two sides, and books."""
+    """A shelf against the wall y = Y: boards, two sides, and books."""
     x, y, _ = room.size_m
     middle, width, depth, height = 0.70 * x, 1.1, 0.28, 1.7
     front = y - 0.03 - depth / 2
@@ -167,7 +167,7 @@ def _shelf(mesh: Mesh, room: RoomSpec) -> None:
 
 
 def _table(mesh: Mesh, room: RoomSpec) -> None:
-    """In the corner x = 0, y = Y, with two chairs and a vase on it."""
+    """A table in the corner x = 0, y = Y, with two chairs and a vase on it."""
     _, y, _ = room.size_m
     cx, cy, top = 0.62, y - 0.85, 0.74
     cloth = Material(((0.74, 0.70, 0.62), (0.62, 0.28, 0.24)), partial(textures.checker, size=0.09))

@@ -46,4 +46,4 @@ export function showVerdict(state) {
   fill(at("next-steps"), [...(verdict.warnings ?? []), ...(verdict.advice ?? [])].map((text) => make("li", text)));
 }
 
-export const twoDigits = (size) => (size >= 10 ? size.toFixed(0) : Number(size.toPrecision(2)).toString());
+export const twoDigits = (size) => (size >= 10 ? size.toFixed(0) : size.toPrecision(2));

@@ -1,28 +1,41 @@
-"""A capture that is written: created, filled record by record, sealed or resumed."""
+"""Captures that are written: created, filled record by record, sealed, resumed, or copied into another storage."""
 
 import contextlib
+import hashlib
+import io
+import itertools
 import math
 import os
+import re
+import threading
 from collections import deque
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple, get_args
 
 import numpy as np
 
 from jaxscan.errors import CaptureError
 from jaxscan.files.capture import (
     HEADER_NAME,
+    HEADER_SEAL,
     JOURNAL_NAME,
     MAX_IMAGES,
+    SEAL,
+    SEALED_RECORDS,
+    Capture,
     CaptureHeader,
     ImageRef,
+    Record,
+    cores,
     exposure_levels,
     frame_shape,
     header_toml,
     journal_line,
+    journal_objects,
+    open_capture,
     read_texts,
     seal,
 )
@@ -30,15 +43,196 @@ from jaxscan.files.disk import (
     append_whole,
     check_name,
     make_folder,
-    open_to_append,
+    open_to_write,
     reported,
+    sync_to_disk,
     whole_folder,
     write_atomically,
 )
-from jaxscan.files.recording.store import Storage, WriteSettings, image_store
 from jaxscan.geometry import MOTIONS
 from jaxscan.stripes import split_levels
 
+
+# Storage of images in a capture: a file each, packed by zstd or as PNG, or raw frames in shards.
+
+
+Storage = Literal["zstd", "png", "npy"]
+STORAGES: tuple[Storage, ...] = get_args(Storage)
+
+SHARD_BYTES = 64 << 20
+SHARD_RECORDS = 32
+# NumPy's own header of a few frames has this length, whatever their number.
+_HEADER_BYTES = 128
+
+
+@dataclass(frozen=True)
+class WriteSettings:
+    """How a capture is written; `create_capture` describes each."""
+
+    storage: Storage = "zstd"
+    durable: bool = True
+    digests: bool = False
+
+
+class FileStore:
+    """One file per image, named after the record.
+
+    As in `ShardStore`, one thread calls `names` and `take`, and many call `write`.
+    """
+
+    def __init__(self, path: Path, settings: WriteSettings) -> None:
+        self._path, self._settings = path, settings
+        self._suffix = ".png" if settings.storage == "png" else ".zst"
+
+    def names(self, side: str, stem: str, count: int) -> list[str]:
+        stems = [stem] if count == 1 else [f"{stem}_{k}" for k in range(count)]
+        return [f"{side}/{one}{self._suffix}" for one in stems]
+
+    def take(self, side: str, count: int) -> None:
+        pass
+
+    def write(self, name: str, image: np.ndarray) -> str:
+        # Here, so that reading a capture's header does not load OpenCV.
+        from jaxscan.vision import encode_png, encode_zstd
+
+        data = encode_png(image) if self._suffix == ".png" else encode_zstd(image)
+        durable = self._settings.durable
+        write_atomically(self._path / name, data, durable=durable, error=CaptureError, links="replace")
+        return hashlib.sha256(data).hexdigest() if self._settings.digests else ""
+
+    def close(self) -> None:
+        pass
+
+
+class _Place(NamedTuple):
+    shard: int
+    used: int
+    length: int
+
+
+class ShardStore:
+    """Shards `on/000000.npy`, `off/000000.npy`, ... of raw frames, in the order in which they are appended.
+
+    A shard has its full length from the beginning, and images are written into it one by one; so
+    it is readable at any moment, and every frame that the journal names in it is complete. Shards
+    of an earlier session are never changed.
+    """
+
+    def __init__(self, path: Path, shape: tuple[int, ...], durable: bool, digests: bool) -> None:
+        self._path, self._shape, self._durable, self._digests = path, shape, durable, digests
+        self._bytes = int(np.prod(shape, dtype=np.int64))
+        self._place = {side: _Place(_last_shard(path / side), 0, 0) for side in ("on", "off")}
+        self._length: dict[str, int] = {}
+        self._made: set[str] = set()
+        self._lock = threading.Lock()
+
+    def names(self, side: str, stem: str, count: int) -> list[str]:
+        """References for `count` images of one frame; `side` is "on" or "off". Changes nothing."""
+        place = self._room(side, count)
+        return [f"{_shard_name(side, place.shard)}#{place.used + k}" for k in range(count)]
+
+    def take(self, side: str, count: int) -> None:
+        """Reserve those names."""
+        place = self._room(side, count)
+        self._place[side] = place._replace(used=place.used + count)
+        self._length[_shard_name(side, place.shard)] = place.length
+
+    def _room(self, side: str, count: int) -> _Place:
+        """Start a frame: all its images go into one shard, so that chunks of frames can be mapped."""
+        place = self._place[side]
+        if place.used + count <= place.length:
+            return place
+        frames = min(SHARD_RECORDS, max(1, SHARD_BYTES // (count * self._bytes)))
+        # A power of two, so that chunks of another power of two never need parts of two shards.
+        return _Place(place.shard + 1, 0, count * (1 << (frames.bit_length() - 1)))
+
+    def write(self, name: str, image: np.ndarray) -> str:
+        """Write an image under its name; after this the journal may name it.
+
+        Returns:
+            The sha256 of the image as it is stored, in hexadecimal digits; "" without `digests`.
+        """
+        shard, _, index = name.partition("#")
+        with reported(f"{self._path / shard}: cannot be written", error=CaptureError):
+            with self._lock:
+                self._make(shard)
+            with open_to_write(self._path / shard, "change") as file:
+                file.seek(_HEADER_BYTES + int(index) * self._bytes)
+                data = np.ascontiguousarray(image).reshape(-1).data
+                digest = hashlib.sha256(data).hexdigest() if self._digests else ""
+                while data:
+                    data = data[file.write(data) :]
+                if self._durable:
+                    os.fsync(file.fileno())
+        return digest
+
+    def _make(self, shard: str) -> None:
+        if shard in self._made:
+            return
+        file = self._path / shard
+        with open_to_write(file, "make") as made:
+            append_whole(made, _header(self._length[shard], self._shape), durable=False)
+            made.truncate(_HEADER_BYTES + self._length[shard] * self._bytes)
+        if self._durable:
+            sync_to_disk(file)
+            sync_to_disk(file.parent)
+        self._made.add(shard)
+
+    def close(self) -> None:
+        """Shorten the last shards to their frames, after all calls of `write` have returned."""
+        for side, place in self._place.items():
+            shard = _shard_name(side, place.shard)
+            if shard not in self._made or place.used >= place.length:
+                continue
+            file_path = self._path / shard
+            with (
+                reported(f"{file_path}: cannot be written", error=CaptureError),
+                open_to_write(file_path, "change") as file,
+            ):
+                # The header shrinks before the file, so the file is readable at any moment. The disk writes over a
+                # few bytes in one go.
+                file.write(_header(place.used, self._shape))
+                if self._durable:
+                    os.fsync(file.fileno())
+                file.truncate(_HEADER_BYTES + place.used * self._bytes)
+
+
+def image_store(path: Path, shape: tuple[int, ...], settings: WriteSettings) -> FileStore | ShardStore:
+    """The store for images of `shape` in the capture at `path`.
+
+    With `digests`, `write` returns the sha256 of the file, or of the frame in a shard.
+    """
+    if settings.storage not in STORAGES:
+        raise ValueError(f"Unknown storage {settings.storage!r}; known: {', '.join(STORAGES)}.")
+    if settings.storage == "npy":
+        return ShardStore(path, shape, settings.durable, settings.digests)
+    return FileStore(path, settings)
+
+
+def _shard_name(side: str, number: int) -> str:
+    return f"{side}/{number:06d}.npy"
+
+
+def _last_shard(folder: Path) -> int:
+    """The largest number of a shard; -1 if there is none."""
+    names = os.listdir(folder) if os.path.isdir(folder) else []
+    found = (re.fullmatch(r"([0-9]{6,9})\.npy", name) for name in names)
+    return max((int(match[1]) for match in found if match), default=-1)
+
+
+def _header(length: int, shape: Sequence[int]) -> bytes:
+    """The beginning of an `.npy` file of uint8 [length, *shape], of the same size for every length."""
+    text = io.BytesIO()
+    np.lib.format.write_array_header_1_0(
+        text, {"descr": "|u1", "fortran_order": False, "shape": (length, *map(int, shape))}
+    )
+    found = text.getvalue()
+    if len(found) != _HEADER_BYTES:
+        raise CaptureError(f"NumPy's header has {len(found)} bytes, expected {_HEADER_BYTES}.")
+    return found
+
+
+# A capture that is written: created, filled record by record, sealed or resumed.
 
 LOCK_NAME = ".scan.lock"
 """Lock file in a folder during a capture."""
@@ -193,7 +387,7 @@ class CaptureWriter:
         self._pending: deque[_Pending] = deque()
         self._failed: CaptureError | None = None
         self._store = image_store(path, frame_shape(header), settings)
-        self._journal = open_to_append(path / JOURNAL_NAME)
+        self._journal = open_to_write(path / JOURNAL_NAME, "append")
         self._pool = ThreadPoolExecutor(os.cpu_count() or 1, thread_name_prefix="jaxscan-encode")
         self._ahead = 2 * (os.cpu_count() or 1)
 
@@ -408,7 +602,7 @@ def create_capture(
             )
         for folder in ("on", "off"):
             make_folder(path / folder, own=path)
-        open_to_append(path / JOURNAL_NAME).close()
+        open_to_write(path / JOURNAL_NAME, "append").close()
         # Last: a folder with a header is a capture.
         write_atomically(path / HEADER_NAME, toml, durable=durable, error=CaptureError, links="replace")
         return CaptureWriter(path, header, settings=WriteSettings(storage, durable, digests))
@@ -455,3 +649,95 @@ def _stored(images: Sequence[ImageRef]) -> Storage:
     if any(one.index is not None for one in images):
         return "npy"
     return "zstd" if all(one.path.endswith(".zst") for one in images) else "png"
+
+
+# Copying a capture with its images stored in another way: packed, as PNG files, or as raw frames in shards.
+
+
+Progress = Callable[[int, int], None]
+
+_SEAL_KEYS = (SEAL, HEADER_SEAL, SEALED_RECORDS, "source")
+
+
+def repack_capture(
+    source: str | Path, target: str | Path, *, storage: Storage, progress: Progress | None = None
+) -> Capture:
+    """Copy a capture, its images stored in another way.
+
+    The header stays the same, byte for byte, and every record and event keeps all of its keys; only
+    the names of the images are new. Records are in the order of their numbers; takes that were
+    replaced by a later one, and a torn last line, are left out. Digests of the new images replace
+    those of the old ones, which were compared when they were read. A new seal, which names the
+    digest of the old journal, replaces the old ones.
+
+    Args:
+        source: The capture.
+        target: Folder of the new one; it must not exist, and appears only when it is complete.
+        storage: How images are stored there; see `create_capture`.
+        progress: Called with (records done, records in all).
+
+    Raises:
+        CaptureError: If the source is damaged, or the target exists or cannot be written. Then
+            nothing is left behind.
+    """
+    source, target = Path(source), Path(os.path.abspath(target))
+    check_new_folder(target)
+    capture = open_capture(source)
+    texts = read_texts(source)
+    if texts.digest() != capture.digest():
+        raise CaptureError(f"{source}: has changed while it was read; end the capture first.")
+    values = list(_ordered(texts.journal_bytes))
+    with whole_capture(target) as part:
+        with create_capture(part, capture.header, storage=storage, durable=False, digests=True) as writer:
+            _copy(capture, writer, values, progress)
+            # Before the seal, which binds it.
+            write_atomically(part / HEADER_NAME, texts.header_bytes, durable=False, error=CaptureError)
+            writer.seal(source={SEAL: hashlib.sha256(texts.journal_bytes).hexdigest()})
+    return open_capture(target)
+
+
+def _copy(capture: Capture, writer: CaptureWriter, values: Iterable[dict[str, Any]], progress: Progress | None) -> None:
+    """All records and events; images are read a few records ahead."""
+    records = {record.i: record for record in capture.records}
+    ahead: deque[tuple[dict[str, Any], Future[dict[str, list[np.ndarray]]] | None]] = deque()
+    done = itertools.count(1)
+    pool = ThreadPoolExecutor(cores(), thread_name_prefix="jaxscan-decode")
+    values = iter(values)
+    try:
+        while True:
+            for value in itertools.islice(values, 2 * cores() + 1 - len(ahead)):
+                images = pool.submit(_images, capture, records[value["i"]]) if "i" in value else None
+                ahead.append((value, images))
+            if not ahead:
+                break
+            value, images = ahead.popleft()
+            if images is None:
+                if SEAL in value:
+                    value = {key: kept for key, kept in value.items() if key not in _SEAL_KEYS}
+                if value != {"event": "seal"}:
+                    writer.append_event(value)
+                continue
+            writer.append_line(value, images.result())
+            if progress is not None:
+                progress(next(done), len(records))
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)
+
+
+def _images(capture: Capture, record: Record) -> dict[str, list[np.ndarray]]:
+    sides = {"on": record.on, "off": record.off}
+    return {side: [capture.image(one) for one in images] for side, images in sides.items()}
+
+
+def _ordered(journal: bytes) -> Iterator[dict[str, Any]]:
+    """Records by number, each followed by the events that followed it in the journal."""
+    values = [value for _, value in journal_objects(journal)]
+    winner = {value["i"]: number for number, value in enumerate(values) if "i" in value}
+    after, keyed = -1, []
+    for number, value in enumerate(values):
+        if "i" in value:
+            after = value["i"]
+        if "i" not in value or winner[value["i"]] == number:
+            keyed.append((after, "i" not in value, number))
+    for _, _, number in sorted(keyed):
+        yield values[number]

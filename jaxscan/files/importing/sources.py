@@ -1,15 +1,19 @@
-"""The images and videos of other programs: what there is, of which board, and the program that decodes them."""
+"""The images and videos of other programs: their names, the patterns that choose them, and the board that they show."""
 
 import os
 import re
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from jaxscan.errors import CaptureError, OptionError
 from jaxscan.files.capture import BoardTable
-from jaxscan.files.disk import FileModel, check, shown
+from jaxscan.files.disk import FileModel, check, open_regular, shown
+
+
+if TYPE_CHECKING:
+    from jaxscan.vision import Video
 
 
 class Source(NamedTuple):
@@ -223,3 +227,44 @@ def numbers_and_words(text: str) -> tuple[int | str, ...]:
     """
     found = re.findall(r"[0-9]{1,18}|[^\W\d_]+", re.sub(r"(?<=[a-z])(?=[A-Z])", " ", text))
     return tuple(int(one) if one.isdecimal() else one.lower() for one in found)
+
+
+# Videos.
+
+
+def open_video(folder: Path, name: str) -> "Video":
+    """A video in an untrusted folder."""
+    from jaxscan.vision import Video
+    from jaxscan.vision.video import BEGINNING_BYTES
+
+    path = Path(os.path.abspath(folder / name))
+    with open_regular(path, error=CaptureError, links="refuse") as file:
+        beginning = file.read(BEGINNING_BYTES)
+    return Video(str(path), beginning)
+
+
+def count_frames(folder: Path, name: str) -> tuple[int, int]:
+    """Number of frames of a video, and the number that the file says it has; 0 if it does not say.
+
+    Raises:
+        CaptureError: If it cannot be read, has none, or is cut short.
+    """
+    from jaxscan.vision.video import is_cut_short
+
+    video = open_video(folder, name)
+    try:
+        found = video.count()
+    finally:
+        video.close()
+    path = folder / name
+    if not found:
+        raise CaptureError(f"{path}: no frame can be decoded; the file is damaged, or its codec is not known.")
+    with open_regular(path, error=CaptureError, links="refuse") as file:
+        short = is_cut_short(file)
+    if short:
+        of = f"of {video.announced} " if video.announced >= found else ""
+        raise CaptureError(
+            f"{path}: the file ends before its own header says, in or after frame {found} {of}(the last may be "
+            "damaged): copy it again, or cut it cleanly with a video program."
+        )
+    return found, video.announced
