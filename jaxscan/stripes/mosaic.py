@@ -125,9 +125,9 @@ def _means(rows: ProfileRows, line_step: int) -> Callable[[np.ndarray], np.ndarr
 
 
 def _slopes(rows: ProfileRows, line_step: int) -> np.ndarray:
-    """Of the stripe about each row, absolute, by the less steep side; 0 where it is not known [px/row]."""
-    reach, slope = _WIDTH // 4 * line_step, np.zeros(rows.u.shape)
-    if slope.shape[1] <= 2 * reach:
+    """Absolute slope of the stripe at each row, by the less steep side; 0 where it is not known [px/row]."""
+    reach, slope = _WIDTH // 4 * line_step, np.zeros_like(rows.u, np.float64)
+    if rows.u.shape[1] <= 2 * reach:
         return slope
     rise = np.abs(rows.u[:, reach:] - rows.u[:, :-reach]) / (reach / line_step)
     rise = np.where(rows.valid[:, reach:] & rows.valid[:, :-reach], rise, 0.0)
