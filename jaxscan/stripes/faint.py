@@ -8,7 +8,9 @@ own signal is asked for, but for what speckle takes away.
 The search and the fit are those of the first look; that both are compiled once, which look it is is a number.
 """
 
+import functools
 import math
+import operator
 from typing import NamedTuple
 
 import jax
@@ -30,6 +32,8 @@ _REACH_PX = 1.5
 """Distance from its place in the sum within which a stripe is accepted [px]."""
 _TOGETHER_SNR = 4.8
 """Signal-to-noise ratio of the lowest maximum of the sum [1]."""
+_BETWEEN = TOGETHER // 2
+"""Lines on either side, of which one has to have a stripe."""
 _DARKER, _FADED = 0.5, 0.1
 """Signal of a line, in that of those around, below which it is dark on purpose: without speckle, and at least [1]."""
 
@@ -52,11 +56,18 @@ class Look(NamedTuple):
         )
 
     def believed(self, found: FrameStripes, peaks: Peaks, search: Search) -> FrameStripes:
-        """The stripes [candidates, lines] that are where the lines around have theirs, and as bright."""
+        """The stripes [candidates, lines] that are between others, where these are, and as bright."""
         around = peaks.height * (_TOGETHER_SNR / math.sqrt(TOGETHER))
         share = jnp.maximum(_DARKER - 0.5 * search.speckle, _FADED)
         near = (jnp.abs(found.u - peaks.at) <= _REACH_PX) & (found.snr >= share * around)
-        return found._replace(valid=found.valid & (near | ~self.again))
+        # The light of a sum may lie on one side alone: beyond the end of a stripe.
+        lit = jnp.pad(~self.lacking | (found.valid & near).any(0), _BETWEEN)
+        lines = len(self.lacking)
+        before, after = (
+            functools.reduce(operator.or_, (lit[_BETWEEN + side * k :][:lines] for k in range(1, _BETWEEN + 1)))
+            for side in (-1, 1)
+        )
+        return found._replace(valid=found.valid & ((near & before & after) | ~self.again))
 
 
 def with_faint(
