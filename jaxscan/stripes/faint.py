@@ -61,13 +61,13 @@ class Look(NamedTuple):
         share = jnp.maximum(_DARKER - 0.5 * search.speckle, _FADED)
         near = (jnp.abs(found.u - peaks.at) <= _REACH_PX) & (found.snr >= share * around)
         # The light of a sum may lie on one side alone: beyond the end of a stripe.
-        lit = jnp.pad(~self.lacking | (found.valid & near).any(0), _BETWEEN)
+        lit = jnp.pad(~self.lacking | jnp.any(found.valid & near, 0), _BETWEEN)
         lines = len(self.lacking)
         before, after = (
             functools.reduce(operator.or_, (lit[_BETWEEN + side * k :][:lines] for k in range(1, _BETWEEN + 1)))
             for side in (-1, 1)
         )
-        return found._replace(valid=found.valid & ((near & before & after) | ~self.again))
+        return found._replace(valid=found.valid & ((near & (before & after)[None]) | ~self.again))
 
 
 def with_faint(

@@ -95,7 +95,9 @@ def test_the_second_time_no_frame_is_read(capture, scanner, monkeypatch):
             capture, scanner, settings=SETTINGS, progress=lambda done, total: seen.append((done, total))
         )
         again = reconstruct_capture(open_capture(capture.path), scanner, settings=SETTINGS)
-    assert second.from_cache and again.from_cache and seen[-1] == (100, 100)
+    assert second.from_cache and again.from_cache
+    done, total = seen[-1]
+    assert done == total > 0
     assert_same(second.cloud, first.cloud)
     assert_same(again.cloud, first.cloud)
     assert_close(first.cloud, reconstruct(capture, scanner, settings=SETTINGS))

@@ -215,12 +215,14 @@ def test_what_was_begun_ends_only_when_somebody_says_so(shown, flat):
 
 
 def is_flat(shown, place):
-    """Whether a plane is known there, and points enough within 20 mm."""
+    """Whether a plane is known there, as an angle needs it, and points enough within 20 mm."""
     try:
         found = measure_flatness(shown, place + shown.origin)
     except MeasurementError:
         return False
-    return found.value < 2e-3 and (np.linalg.norm(shown.xyz - place, axis=1) < 0.019).sum() >= 4
+    away = np.linalg.norm(shown.xyz - place, axis=1)
+    profiles = np.unique(shown.cells[away < 0.19] // shown.cloud.valid.shape[1])
+    return found.value < 2e-3 and (away < 0.019).sum() >= 4 and len(profiles) >= 3
 
 
 def walls_of(shown):
