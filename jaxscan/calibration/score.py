@@ -116,7 +116,7 @@ def _corner_rows(result: Adjustment, of_placement: np.ndarray) -> tuple[_Rows, d
             common["table"][views] = turned[views] * shapes["table"][:, None]
         single["axis"] = _Single(twist, of_view)
     residual = linear.corner_error * weight
-    chain, block = linear.chains.corner, np.asarray(problem.placement)
+    chain, block = np.asarray(linear.chains.corner), np.asarray(problem.placement)
     return _Rows(common, single, linear.corner_slopes, chain, block, residual), shapes
 
 
@@ -133,8 +133,8 @@ def _stripe_rows(result: Adjustment, of_placement: np.ndarray) -> tuple[_Rows, n
     rise = np.where(weight > 0, twist[..., 2], 1.0)
     bent = rise[..., None] * bends(problem, np.stack([-twist[..., 4], twist[..., 3]], -1) / rise[..., None])
     single = {"paper": _Single(np.where(weight[..., None] > 0, bent, 0.0), of_placement[owner])}
-    common = {"sheet": shape * (linear.slope * weight)[..., None]}
-    return _Rows(common, single, linear.stripe_slopes, linear.chains.stripe, owner, linear.offset * weight), shape
+    common, chain = {"sheet": shape * (linear.slope * weight)[..., None]}, np.asarray(linear.chains.stripe)
+    return _Rows(common, single, linear.stripe_slopes, chain, owner, linear.offset * weight), shape
 
 
 def _score(result: Adjustment, groups: list[_Rows], shapes: dict[str, np.ndarray]) -> Score:
