@@ -127,13 +127,13 @@ GROUPS = {
 """The verbs as the first page lists them."""
 ALWAYS = (
     Entry("json", ("--json",), "FILE", "Write the result as JSON too (- for standard output)."),
-    Entry("help", ("-h", "--help"), "", "Show this page."),
-    Entry("debug", ("--debug",), "", "Show where in the program an error arose."),
+    Entry("help", ("-h", "--help"), "", "Show this page.", many=0),
+    Entry("debug", ("--debug",), "", "Show where in the program an error arose.", many=0),
 )
 """Options of every verb."""
 PROGRAM = (
-    Entry("help", ("-h", "--help"), "", "Show this page."),
-    Entry("version", ("--version",), "", "Show the version."),
+    Entry("help", ("-h", "--help"), "", "Show this page.", many=0),
+    Entry("version", ("--version",), "", "Show the version.", many=0),
     Entry("completion", ("--completion",), "bash|zsh", "Print what makes this shell complete verbs and options."),
 )
 """Options of `jaxscan` without a verb."""
@@ -211,8 +211,13 @@ def _width() -> int:
 def unknown_verb(word: str, prog: str, verbs: Sequence[str]) -> str:
     """One line on a word that is no verb of these."""
     kind = "option" if word.startswith("-") else "verb"
-    options = [name for entry in (PROGRAM if prog == "jaxscan" else ALWAYS) for name in entry.names]
-    near = _near(word, options if kind == "option" else verbs)
+    alone, behind = ([name for entry in entries for name in entry.names] for entries in (PROGRAM, ALWAYS))
+    if word in behind:
+        near = "It follows the verb. "
+    elif word in alone and prog == "jaxscan":
+        near = "It stands alone. "
+    else:
+        near = _near(word, verbs if kind == "verb" else alone if prog == "jaxscan" else behind)
     return f'"{word}" is no {kind} of {prog}. {near}All there are: {prog} --help'
 
 
@@ -249,8 +254,8 @@ def read_words(words: Sequence[str], prog: str, entries: Sequence[Entry]) -> dic
             continue
         count = len(waiting) if entry.many is None else entry.many
         values = given + [waiting.pop(0) for _ in range(count - len(given)) if waiting and _is_value(waiting, options)]
-        if len(values) < count and not (entry.many is None and values):
-            raise Mistake(f"{name} needs {entry.value}. {more}")
+        if not values or (entry.many is not None and len(values) < count):
+            raise Mistake(f"{name} needs {entry.value.removesuffix(' ...')}. {more}")
         try:
             found[entry.key] = _converted(values, entry)
         except ValueError as problem:

@@ -232,6 +232,6 @@ def _is_of_capture(path: Path, identity: set[object], capture: Path) -> bool:
 
 
 def need_pages(what: str, extra: str) -> None:
-    """Check that pages can be served, for what begins the sentence, and by the extra that brings what is missing."""
+    """Check that pages can be served; `what` begins the message, which names the extra that brings what is missing."""
     if find_spec("aiohttp") is None:
         raise DependencyError(f"{what} needs aiohttp; type: pip install 'jaxscan[{extra}]'")

@@ -16,8 +16,8 @@ from jaxscan.files.disk import open_regular
 _HEAD = 1 << 20
 """Most bytes [bytes] that are read to tell what a file is; texts that are counted are read to their end by lines."""
 _LINE = 1 << 16
-_INCH_MM, _POINT_MM = 25.4, 25.4 / 72
-_WALLS = {"walls": b"=IFCWALL", "doors": b"=IFCDOOR(", "windows": b"=IFCWINDOW(", "spaces": b"=IFCSPACE("}
+_POINT_MM = 25.4 / 72
+_IFC_PARTS = {"walls": b"=IFCWALL", "doors": b"=IFCDOOR(", "windows": b"=IFCWINDOW(", "spaces": b"=IFCSPACE("}
 Facts = dict[str, Any]
 
 
@@ -37,7 +37,15 @@ def describe_product(path: Path, *, error: type[JaxscanError]) -> Facts | None:
     with open_regular(path, error=error) as file:
         try:
             return describe(file)
-        except (ValueError, KeyError, IndexError, TypeError, RecursionError, struct.error) as problem:
+        except (
+            ValueError,
+            LookupError,
+            TypeError,
+            AttributeError,
+            OverflowError,
+            RecursionError,
+            struct.error,
+        ) as problem:
             raise error(
                 f"{path}: is no {path.suffix[1:].upper()} file that can be read: {problem!r:.100}."
             ) from problem
@@ -76,6 +84,8 @@ def _glb(file: BinaryIO) -> Facts:
     shape = about["meshes"][0]["primitives"][0]
     points, corners = about["accessors"][shape["attributes"]["POSITION"]], about["accessors"][shape["indices"]]
     at = np.asarray([points["min"], points["max"]], float) + about["nodes"][0].get("translation", 0.0)
+    if not np.isfinite(at).all():
+        raise ValueError("its limits are not finite")
     facts = _mesh(points["count"], corners["count"] // 3) | {"unit": "metre", "up": "y"}
     return facts | {"from": at[0].tolist(), "to": at[1].tolist(), "texture": "yes" if about.get("images") else "none"}
 
@@ -107,8 +117,8 @@ def _png(file: BinaryIO) -> Facts:
         raise ValueError("no PNG")
     width, height = struct.unpack(">II", head[16:24])
     at = head.find(b"pHYs")
-    per_m = struct.unpack(">II", head[at + 4 : at + 12]) if at > 0 else None
-    sheet = _sheet(1e3 * width / per_m[0], 1e3 * height / per_m[1]) if per_m and all(per_m) else None
+    *per_m, unit = struct.unpack(">IIB", head[at + 4 : at + 13]) if at > 0 else (0, 0, 0)
+    sheet = _sheet(1e3 * width / per_m[0], 1e3 * height / per_m[1]) if unit == 1 and all(per_m) else None
     return {"kind": "picture", "pixels": f"{width} x {height}", "sheet_mm": sheet}
 
 
@@ -117,19 +127,16 @@ def _sheet(*sides: float) -> list[int] | None:
 
 
 def _dxf(file: BinaryIO) -> Facts:
-    counts: dict[bytes, int] = {b"LINE": 0, b"LWPOLYLINE": 0, b"DIMENSION": 0}
-    for line in _lines(file):
-        if (word := line.strip()) in counts:
-            counts[word] += 1
-    return {"kind": "drawing", "unit": "metre", "dimensions": counts[b"DIMENSION"]}
+    dimensions = sum(line.strip() == b"DIMENSION" for line in _lines(file))
+    return {"kind": "drawing", "unit": "metre", "dimensions": dimensions}
 
 
 def _ifc(file: BinaryIO) -> Facts:
     if not file.readline(_LINE).startswith(b"ISO-10303-21"):
         raise ValueError("no IFC")
-    counts = dict.fromkeys(_WALLS, 0)
+    counts = dict.fromkeys(_IFC_PARTS, 0)
     for line in _lines(file):
-        for name, word in _WALLS.items():
+        for name, word in _IFC_PARTS.items():
             counts[name] += word in line
     return {"kind": "building (IFC)", **counts}
 

@@ -1,4 +1,4 @@
-"""The normal equations of a block arrow, what the solver asks of a problem that has some, and their solution.
+"""The normal equations of a block arrow and their solution; what the solver asks of a problem that has such equations.
 
 Shared unknowns meet every residual, those of a block (a board's pose, a plane, a point, a station) only residuals of
 their own, so that blocks are eliminated one by one, by Schur's complement. In NumPy on the host, or in JAX inside of a

@@ -277,8 +277,8 @@ def _flat_part(patch: Samples, point: Point, radius_m: float) -> Samples:
     """The points of a patch that are on its plane: what hangs on a wall does not turn it.
 
     The plane through three of the points from which half of them are least far (least median of squares: Rousseeuw,
-    1984), and then that of the points that are near it. Refused where they are less than half of the points, or lie on
-    two of several profiles.
+    1984), and then that of the points that are near it. Refused where they are fewer than half of the points, or lie
+    on fewer than three of several profiles.
     """
     corners = patch.p[np.random.default_rng(0).integers(len(patch.p), size=(_TRIPLES, 3))]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
@@ -307,7 +307,7 @@ def _flat_part(patch: Samples, point: Point, radius_m: float) -> Samples:
     if len(count) > 1 and np.count_nonzero(whole) < _LEAST_PROFILES:
         raise MeasurementError(
             f"Only {np.count_nonzero(whole)} profiles within {radius_m} m of {place_words(point)} are on one plane, "
-            f"expected {_LEAST_PROFILES}; pick a flat place."
+            f"expected {_LEAST_PROFILES}; pick a flat place or a larger radius."
         )
     return patch.take(inlier)
 

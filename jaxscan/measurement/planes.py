@@ -84,7 +84,8 @@ def _as_lines_show(samples: Samples, moved: np.ndarray, covariance: np.ndarray) 
     V. A. Marchenko, L. A. Pastur, Distribution of eigenvalues for some sets of random matrices, Math. USSR-Sbornik 1,
     1967.
     """
-    _, block = np.unique(np.stack([samples.station, samples.line // _BLOCK_LINES]), axis=1, return_inverse=True)
+    blocks = np.stack([samples.station, samples.line // _BLOCK_LINES])
+    block = np.unique(blocks, axis=1, return_inverse=True)[1].ravel()
     count = int(block.max()) + 1
     free = count - 3
     size, axes = np.linalg.eigh(covariance)

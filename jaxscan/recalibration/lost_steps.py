@@ -625,7 +625,8 @@ def propose_steps(sweep: SweepStripes, rig: Rig) -> list[tuple[int, float]]:
     breaks a wall too: every proposal has to be tried.
     """
     sample = take_sample(sweep, rig.scanner, PROFILES, PROFILES * LINES)
-    own = np.flatnonzero(sample.laser == sample.laser[0])
+    # Few profiles with stripes may all lie between those of the sample.
+    own = np.flatnonzero(sample.laser == sample.laser.min(initial=np.iinfo(int).max))
     records, row = np.unique(sample.record[own], return_inverse=True)
     if len(records) < 4 * HALF + 2:
         return []

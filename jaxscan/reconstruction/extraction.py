@@ -1,4 +1,4 @@
-"""The stripes of a sweep, found chunk by chunk: of all its records, of a part of them, or while they are taken.
+"""The stripes of a sweep, found chunk by chunk: of all its records, or while they are taken.
 
 What is learned is learned from the first records; after that the stripes of a frame depend on nothing but the frame. So
 they are the same whenever and wherever they are found, and in whatever chunk.

@@ -11,7 +11,7 @@ what is printed on a wall moves on with the room; and that it is bright. Where a
 well, and brightness decides; where profiles are far apart nothing goes on from one to the next, and the lines of one
 profile tell alone. `clearness` has a measure for each, and of the first two the one that leaves more is taken.
 
-A sweep is refused where all may be chance: less than 16 stripes go on further than decoys do, or are brighter where
+A sweep is refused where all may be chance: fewer than 16 stripes go on further than decoys do, or are brighter where
 decoys go on as well as stripes; and less than a quarter of all are clearer by the third measure, as bright print, which
 is commoner than dark print, makes up to a fifth of a mono camera's stripes brighter than all decoys.
 """

@@ -5,7 +5,8 @@ around. There it is measured, in the light of the line alone, with less signal t
 darker than those around is dark on purpose, behind an edge or on print: the fainter it is beside them, the more of its
 own signal is asked for, but for what speckle takes away.
 
-The search and the fit are those of the first look; that both are compiled once, which look it is is a number.
+The search and the fit are those of the first look: both looks are one compiled function, which gets the number of the
+look.
 """
 
 import functools
@@ -77,7 +78,7 @@ def with_faint(
 
     Args:
         measured: All candidates [frames, candidates, lines].
-        number: Of each line's stripe among them, -1 where there is none.
+        number: Which of them is each line's stripe, -1 where none is.
         found: Faint stripes, the first candidate of each line.
     """
     last = measured.u.shape[1] - 1

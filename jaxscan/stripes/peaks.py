@@ -131,7 +131,7 @@ def find_peaks(
         return base, thresholds[level]
 
     def measured(line: Array, at: Array, base: Array, threshold: Array) -> tuple[Array, ...]:
-        """Whether a maximum stands out, its extent to both sides and the ends of its zone."""
+        """A maximum over the threshold, its extent to both sides and the ends of its zone."""
         around = kept(some, _around, lattice, line, at)
         count = len(around) - 2 * _MARGIN
         fine, response = _filters(

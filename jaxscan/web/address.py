@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 from jaxscan.errors import OptionError
 
 
-LOOPBACK = "127.0.0.1"
 _LOOPBACK_NAMES = frozenset({"localhost", "127.0.0.1", "::1"})
 _ANYWHERE = {"0.0.0.0", "::"}
 _AFAR = ("192.0.2.1", "10.0.0.1", "192.168.0.1", "172.16.0.1")

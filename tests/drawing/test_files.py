@@ -1,5 +1,6 @@
 """Drawings on disk: read back by other programs' readers, with the same numbers."""
 
+import struct
 import xml.etree.ElementTree as xml
 
 import ezdxf
@@ -11,6 +12,7 @@ import jaxscan
 from jaxscan.drawing import LAYERS, lay_out, strokes
 from jaxscan.errors import OptionError, OutputError
 from jaxscan.files.products import describe_product
+from jaxscan.vision.lossless import SIGNATURE, chunk
 
 
 @pytest.fixture(scope="module")
@@ -134,6 +136,17 @@ def test_a_file_of_a_drawing_says_its_sheet(plan, survey, tmp_path):
     assert [about[suffix]["sheet_mm"] for suffix in (".svg", ".pdf", ".png")] == [sheet] * 3
     assert about[".dxf"]["dimensions"] == len(plan.dimensions)
     assert about[".ifc"]["walls"] == len(survey.outline.loops[0]) and about[".ifc"]["spaces"] == 1
+
+
+def test_a_file_that_is_no_drawing_says_so(tmp_path):
+    (tmp_path / "plan.svg").write_text(f'<svg width="{"9" * 400}mm" height="3mm">')
+    with pytest.raises(OutputError, match="is no SVG file that can be read"):
+        describe_product(tmp_path / "plan.svg", error=OutputError)
+    # Its pixels are square, and have no size.
+    header = struct.pack(">II", 4, 3) + bytes([8, 0, 0, 0, 0])
+    square = chunk(b"IHDR", header) + chunk(b"pHYs", struct.pack(">IIB", 1, 1, 0))
+    (tmp_path / "plan.png").write_bytes(SIGNATURE + square)
+    assert describe_product(tmp_path / "plan.png", error=OutputError)["sheet_mm"] is None
 
 
 def test_the_largest_standard_scale_that_fits(survey):

@@ -1,8 +1,8 @@
 """Errors of points on walls, learned from their residuals: noise of stripes, roughness, and errors that points share.
 
 Walls are not flat, light comes back from their neighbours, and tables stop beside their angles. Independent noise
-averages out over ten thousands of points; a bow of a wall does not. So the shape of every wall is a random field: sums
-of patches of a few sizes, each as high or low as its size's standard deviation says, which is learned from the
+averages out over tens of thousands of points; a bow of a wall does not. So the shape of every wall is a random field:
+sums of patches of a few sizes, each as high or low as its size's standard deviation says, which is learned from the
 residuals. The points of one record on an upright wall are a patch too, which the stop of the table turns about the
 axis. With them the least squares is a generalised one, and its covariance is honest.
 """
@@ -106,7 +106,7 @@ _SIZES = np.array([0.25, 0.5, 1.0, 2.0])
 _MOST = 500
 # Patches by which the height of a size can be learned at least, less those that the fit takes up.
 _FEWEST = 5
-# Variances of the heights of all sizes by two kinds of shape. One is of the smallest size, as plaster and light that
+# Variances of the heights of all sizes by three kinds of shape. One is of the smallest size, as plaster and light that
 # comes back in corners are. The other is a smooth bow, whose patches differ in proportion to their size: it is learned
 # from small patches, since a bow over a whole wall looks like an error of the scanner and is hardly left in residuals.
 # The third is of the records, whose number follows those of the sizes.

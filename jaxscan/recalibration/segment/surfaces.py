@@ -104,8 +104,9 @@ _SAME_M = 0.04
 """Difference of two parts that lie over each other at most [m]: two surfaces are not seen at one place."""
 _GAP_M = 1.5
 """Distance of two parts of one surface at most [m]."""
-_BIN_M = 0.15
-"""Size of the squares in which it is seen whether parts lie over each other, at least [m]."""
+_BIN_M = 0.1
+"""Size of the squares over which points are spread evenly; at least that of those in which it is seen whether parts lie
+over each other [m]."""
 _HOME_M = 0.15
 """Gap between the first and the last profiles of a sweep in which no edge is expected [m]."""
 _OVER = 0.25
@@ -287,8 +288,6 @@ _OUTLIER, _OUTLIER_M = 4.0, 2e-3
 """Standard deviations, and distance beside them [m], from which a stripe does not belong to its wall."""
 _LEAST = 30
 """Points of a surface at least."""
-_BIN_M = 0.1
-"""Size of the squares over which points are spread evenly, at least [m]."""
 
 
 class Candidates(NamedTuple):
