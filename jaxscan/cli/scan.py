@@ -120,6 +120,7 @@ def scan(
     emit_json({**_as_json(result), "capture": str(output), **done, "notes": notes})
     if result.status != "complete":
         given = {"--port": port, "-c": calibration, "--cloud": cloud, "--place-command": place_command}
+        given["--smooth"] = None if smooth == "edge" else smooth
         words = ["jaxscan", "scan", str(config), "-o", str(output), *(["--boards"] if boards else [])]
         words += [str(word) for option in given.items() if option[1] is not None for word in option]
         again = f"go on with: {shlex.join([*words, '--resume'])}"
