@@ -626,7 +626,7 @@ def propose_steps(sweep: SweepStripes, rig: Rig) -> list[tuple[int, float]]:
     """
     sample = take_sample(sweep, rig.scanner, PROFILES, PROFILES * LINES)
     # Few profiles with stripes may all lie between those of the sample.
-    own = np.flatnonzero(sample.laser == sample.laser.min(initial=np.iinfo(int).max))
+    own = np.flatnonzero(sample.laser == sample.laser[:1])
     records, row = np.unique(sample.record[own], return_inverse=True)
     if len(records) < 4 * HALF + 2:
         return []
