@@ -7,7 +7,7 @@ from typing import NamedTuple
 Tell = Callable[[int, int], None]
 """Called with (work done, work in all)."""
 _PARTS = 1000
-"""Of the unit of stages, in which their work is told."""
+"""Parts of the unit of stages, in which work is reported."""
 
 
 class Stage(NamedTuple):

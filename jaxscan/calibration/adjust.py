@@ -51,7 +51,7 @@ def determine(linearised: Linearised, scales: np.ndarray, names: tuple[str, ...]
     information = reduced[np.ix_(free, free)]
     size = np.sqrt(np.diag(information))
     eigenvalues, axes = np.linalg.eigh(information / np.outer(size, size))
-    # As the product of a matrix and its transpose it is symmetric to the last digit, however weak a direction is.
+    # The product of a matrix and its transpose is symmetric to the last digit, however weak a direction is.
     half = axes / np.sqrt(eigenvalues) / size[:, None]
     inverse = half @ half.T
     covariance[np.ix_(free, free)] = inverse * np.outer(scales[free], scales[free])

@@ -223,7 +223,7 @@ def _misfit(step: Array, own: Array, data: tuple[Array, ...]) -> Array:
     camera = compose(hand_cam, exponential(step[:6]))
     off = compose(compose(back, compose(board, exponential(own))), compose(unseen, invert(camera)))
     turned = off[:3, :3]
-    # Of a small turn.
+    # The rotation vector of a small turn.
     xp = namespace(off)
     rotation = 0.5 * xp.stack([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
     return root @ (xp.concatenate([off[:3, 3], rotation]) + by_camera @ step[6:])

@@ -126,7 +126,7 @@ def _score_tests(result: Adjustment, looks: dict[str, _Seen]) -> list[ModelTest]
         test = _tested(name, statistic, dof, noise)
         if name == "lens":
             radial = _tested(name, looks["radial"].statistic, len(looks["radial"].parts), noise)
-            # Of two tests of the same model the one that fails, if any; two chances of chance count.
+            # Two tests have the same model; the one that fails counts, if any. Chance had two tries, so p is doubled.
             found, loser = (test, "radial") if test.p_structure <= radial.p_structure else (radial, "lens")
             del looks[loser]
             test = replace(found, p=min(1.0, 2.0 * found.p), p_structure=min(1.0, 2.0 * found.p_structure))
@@ -330,7 +330,7 @@ def _of_motion(result: Adjustment, score: Score, missing: _Missing) -> list[np.n
     problem, names = result.problem, layout_of(result.problem).names
     along, chance = (score.shapes["table"] @ part[score.places["table"]] for part in (missing.size, missing.noise))
     error = np.sqrt(max(np.mean(along**2) - np.mean(np.sum(chance**2, axis=1)), 0.0))
-    # Of each board's middle across its line of sight and across the motion.
+    # Errors of each board's middle, across its line of sight and across the motion.
     views = repeated_views(problem)
     pose, middle = result.linearised.view_poses[views], np.append(np.asarray(problem.frame)[:2], 0.0)
     turn, point = pose[:, :3, :3], pose[:, :3, :3] @ middle + pose[:, :3, 3]

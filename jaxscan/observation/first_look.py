@@ -145,7 +145,7 @@ def look_at_boards(
 
 
 def _bytes_of(capture: BoardSource) -> int:
-    """Of all frames, decoded."""
+    """Bytes of all frames of a capture, decoded."""
     frame = int(np.prod(capture.image_size)) * (3 if capture.pixel_format == "rgb8" else 1)
     return 2 * len(capture.records) * frame * len(level_exposures(capture.bits))
 

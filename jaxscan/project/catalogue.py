@@ -43,7 +43,7 @@ class Row(NamedTuple):
     message: str
     """The line that says why it failed; notes of one that is done."""
     parts: Mapping[str, str]
-    """As `parts_of` gives them."""
+    """The result of `parts_of`."""
     outputs: tuple[Output, ...]
     started_s: float
     """Seconds since 1970."""

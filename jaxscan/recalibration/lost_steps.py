@@ -491,7 +491,7 @@ LEAST_Z = 7.0
 PLACED = (4, 3, 3)
 """Steps of least squares before the record of a step is sought once more, until it stays."""
 LEAST_GAIN = 0.3
-"""By how much a large step lowers the truncated cost, for each point [1]."""
+"""Least amount by which a large step lowers the truncated cost, for each point [1]."""
 LEAST_STEP = np.deg2rad(0.02)
 """Smaller steps are no full step of any usual table."""
 MOST_STEP = np.deg2rad(10.0)

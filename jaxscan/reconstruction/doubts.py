@@ -445,7 +445,7 @@ def profile_doubts(cloud: PointCloud, numbers: np.ndarray) -> list[str]:
     record, laser = np.asarray(cloud.record), np.asarray(cloud.laser)
     for one in np.unique(laser):
         own = np.flatnonzero(laser == one)
-        # Of several candidates in a record, the first.
+        # If a record has several candidates, the first is taken.
         own = own[np.unique(record[own], return_index=True)[1]]
         if len(own) < _FEW_PROFILES:
             continue

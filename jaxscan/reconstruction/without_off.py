@@ -49,7 +49,7 @@ class Dark(NamedTuple):
     """Laser-off frames of one source."""
 
     source: Literal["given", "predicted", "alone", "even"]
-    """As the sweep has them; predicted by all channels; every channel by itself alone; or one colour everywhere."""
+    """Given by the sweep; predicted by all channels; each channel predicted by itself; or one colour everywhere."""
     room: UInt8[np.ndarray, "..."] | None = None
     """The frame, where it is of one colour."""
 

@@ -154,7 +154,7 @@ def _put(plane: Planes, where: Places, values: Float[np.ndarray, " n"]) -> Plane
 
 
 def _least(residuals: Sequence[Planes], places: int) -> Planes:
-    """Of the residuals of all predictions those that are smallest around; the laser only adds light."""
+    """The residuals of the prediction that leaves the smallest ones around each place; the laser only adds light."""
     best, least = residuals[0], None
     for residual in residuals if len(residuals) > 1 else ():
         size = np.abs(residual)
@@ -248,7 +248,7 @@ def running_median(values: Planes, places: int, spacing: int = 1) -> Float[np.nd
 
 
 def median_at(values: Planes, places: int, where: Places, spacing: int = _WIDE) -> Float[np.ndarray, " n"]:
-    """As `running_median`, at some samples."""
+    """The values of `running_median` at some samples."""
     wide = _between_ends(values, places, spacing)
     first = np.flatnonzero(where)
     first += first // values.shape[2] * (wide.shape[2] - values.shape[2])

@@ -63,7 +63,7 @@ def _sheet(members: np.ndarray, angle: np.ndarray, cloud: PointCloud) -> tuple[n
         return members[:1], np.zeros(0, np.bool_), False
     usual = float(np.median(moved))
     members = members[np.append(True, steps > SMALLEST_GAP * usual)]
-    # Of a turn and a bit more, the bit is left out.
+    # If profiles cover more than one turn, the rest is left out.
     turned = angle[members] - angle[members[0]]
     once = members[turned < 2 * np.pi - SMALLEST_GAP * usual]
     rest = 2 * np.pi - turned[len(once) - 1]

@@ -27,7 +27,7 @@ from jaxscan.viewer.shown import ShownCloud
 Kind = Literal["point", "distance", "height", "angle", "area", "flatness", "room", "box"]
 DISTANCE_RADIUS_M = 0.02
 PLANE_RADIUS_M = 0.2
-"""As in `jaxscan measure`."""
+"""Both radii are those of `jaxscan measure`."""
 _DECIMALS = 4
 """Decimals of picked coordinates [m]: what is listed is what was measured."""
 _LEAST = 4

@@ -45,7 +45,7 @@ class Rejections(NamedTuple):
 
     reasons: tuple[str, ...] = ()
     verdict: str = ""
-    """Of the last one, if it was the proof that rejected it."""
+    """Verdict on the last take, if it was the proof that rejected it."""
 
     def also(self, reason: str, verdict: str = "") -> "Rejections":
         return Rejections((*self.reasons, reason), verdict)
@@ -61,7 +61,7 @@ class Pair:
     record: int
     laser: int
     position: int
-    """As the controller reported it [microsteps from home]."""
+    """Position that the controller reported [microsteps from home]."""
     on: Frame
     off: Frame
     rejections: Rejections

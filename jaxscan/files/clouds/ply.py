@@ -161,7 +161,7 @@ def _has_more(file: BinaryIO) -> bool:
 def _check_length(file: BinaryIO, element: _Element, text: bool) -> None:
     """Compare what the header announces with what is left of the file, before memory is taken."""
     count, size = element.rows, os.fstat(file.fileno()).st_size
-    # As text, a number takes a digit and a separator; an empty list is its number of items.
+    # In text, a number takes a digit and a separator; an empty list takes only its number of items.
     needed = count * (2 * len(element.properties) if text else element.shortest) - (1 if text and count else 0)
     if needed > size - file.tell():
         raise CloudError(

@@ -52,7 +52,7 @@ class Windows(NamedTuple):
     electrons_per_dn: float
     """Conversion gain [e-/DN]."""
     place: np.ndarray
-    """Of the samples from the middle one [samples], px."""
+    """Place of each sample, counted from the middle one [samples], px."""
 
 
 def cut_windows(sight: Sight, line: np.ndarray, centre: np.ndarray, half: int) -> tuple[Windows, np.ndarray]:

@@ -189,7 +189,7 @@ class Facts:
     cells: float | None
     """Part of the cells of the grid that have a point [1]; None without a grid."""
     sigma: tuple[SigmaAt, ...]
-    """By distance; none where the cloud has no sigmas."""
+    """Sigmas by distance; empty where the cloud has no sigmas."""
     median_sigma_m: float | None
     beyond_walls: int | None
     """Points outside the walls; None where no dimension is known."""
