@@ -56,8 +56,8 @@ class Stations(NamedTuple):
     pose: Float[Array, "stations 4 4"]
     """T_room_scanner of each station [m]."""
     covariance: Float[Array, "stations 6 6"]
-    """Covariance of a step (translation [m], rotation [rad]) in the station's own frame; zero for the station that is the
-    room."""
+    """Covariance of a step (translation [m], rotation [rad]) in the station's own frame; zero for the station that is
+    the room."""
 
 
 class PointCloud(eqx.Module):
