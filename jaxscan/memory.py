@@ -1,4 +1,4 @@
-"""What XLA's code for a CPU is told about memory: which results are kept, and that only what exists is computed."""
+"""Hints on memory for XLA's code for a CPU: which results are kept, and that only what exists is computed."""
 
 import functools
 from collections.abc import Callable

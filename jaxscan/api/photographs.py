@@ -58,7 +58,7 @@ class CapturedPhotographs:
         return self.where(lambda angle: True)
 
     def where(self, wanted: Callable[[float], bool]) -> Iterator[Photograph]:
-        """Those whose angle is wanted; the others are not read."""
+        """The photographs whose angle is wanted; the others are not read."""
         angles = self.capture.angles
         for done, record in enumerate(self.records):
             if wanted(float(angles[record])):

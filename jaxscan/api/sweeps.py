@@ -59,7 +59,7 @@ class FoundStripes(NamedTuple):
     kept: bool
     """Whether they are kept now."""
     notes: tuple[str, ...]
-    """On stripes and pairs of frames, and on a folder that cannot be written; a sentence each."""
+    """Notes on stripes and pairs of frames, and on a folder that cannot be written; a sentence each."""
     noise: str
     """See `Reconstruction`."""
     smoothed: SmoothedSweep | None

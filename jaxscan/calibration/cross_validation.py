@@ -183,7 +183,7 @@ def deal_halves(placement: np.ndarray, used: np.ndarray) -> np.ndarray:
 
 
 def _split(result: Adjustment, difference: np.ndarray, units: np.ndarray, noise: np.ndarray, per_error: float) -> Split:
-    """With the variance by noise taken in units of a covariance."""
+    """The split for a difference, whose variance by noise is measured in units of a covariance."""
     root = np.linalg.cholesky(units)
     scatter = np.linalg.solve(root, np.linalg.solve(root, noise).T)
     variance, directions = np.linalg.eigh(0.5 * (scatter + scatter.T))

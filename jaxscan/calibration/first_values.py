@@ -76,9 +76,9 @@ class _Corners(NamedTuple):
     """Corners of the views that fix a pose."""
 
     points: np.ndarray
-    """On the flat board [corners, 2], m."""
+    """Corners on the flat board [corners, 2], m."""
     q: np.ndarray
-    """From the middle of the image [views, corners, 2], px."""
+    """Seen corners, counted from the middle of the image [views, corners, 2], px."""
     valid: np.ndarray
     """[views, corners]."""
 

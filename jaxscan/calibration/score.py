@@ -61,9 +61,9 @@ class _Rows(NamedTuple):
     slopes: np.ndarray
     """Derivatives by camera, pose and sheet [owners, rows, own]."""
     chain: np.ndarray
-    """From these to the unknowns, the shared ones first [owners, own, unknowns]."""
+    """Derivatives of these by the unknowns, the shared ones first [owners, own, unknowns]."""
     block: np.ndarray
-    """Whose own unknowns, the board's pose among them, each owner has [owners]."""
+    """Number of the block of own unknowns, among them the board's pose, of each owner [owners]."""
     residual: np.ndarray
     """[owners, rows]."""
 

@@ -45,7 +45,7 @@ class Harm(NamedTuple):
 
     test: ModelTest
     steps: Float[np.ndarray, "steps shared"]
-    """In px, rad, m: at most one for each parameter of the rig; none without structure."""
+    """Steps in px, rad, m: at most one for each parameter of the rig; none without structure."""
 
 
 class _Seen(NamedTuple):
@@ -136,7 +136,7 @@ def _score_tests(result: Adjustment, looks: dict[str, _Seen]) -> list[ModelTest]
 
 
 def _cross_validations(result: Adjustment, settings: CalibrationSettings) -> list[tuple[ModelTest, Split]]:
-    """Those that the data allow."""
+    """The cross-validations that the data allow."""
     found, noise = [], (result.corner_noise, result.stripe_noise_rms)
     halves, regions = compare_halves(result, settings, (1.0, 1.0)), compare_regions(result, settings)
     if halves is not None:

@@ -111,7 +111,7 @@ class RigDesign:
     sensor: Sensor
     lens_mm: float
     baseline_m: float
-    """From the camera's centre of projection to the laser, along the image's x."""
+    """Distance from the camera's centre of projection to the laser, along the image's x."""
     crossing_m: float
     """Depth at which the sheet crosses the optical axis [m]."""
 

@@ -53,7 +53,7 @@ class Candidates(NamedTuple):
 
     @staticmethod
     def of(found: ChunkStripes, record: int, stripe_axis: StripeAxis) -> "Candidates":
-        """Those of one record of a chunk that was extracted with all candidates."""
+        """The candidates of one record, from a chunk that was extracted with all candidates."""
         chosen = np.asarray(found.chosen)
         stripes = found.stripes
         fields = [np.asarray(field) for field in (stripes.u, stripes.sigma, stripes.width, stripes.valid)]

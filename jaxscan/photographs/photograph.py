@@ -151,7 +151,7 @@ class Album(Protocol):
     def __iter__(self) -> Iterator[Photograph]: ...
 
     def where(self, wanted: Callable[[float], bool]) -> Iterator[Photograph]:
-        """Those whose angle [rad or m] is wanted; the others are not read."""
+        """The photographs whose angle [rad or m] is wanted; the others are not read."""
         ...
 
 

@@ -34,7 +34,7 @@ class Found(NamedTuple):
     """A capture that lies in the folder."""
 
     path: Path
-    """From the folder."""
+    """Path relative to the folder."""
     header: CaptureHeader
 
 

@@ -28,7 +28,7 @@ class Output(NamedTuple):
     """A file that a step wrote."""
 
     path: str
-    """In the folder of the products."""
+    """Path in the folder of the products."""
     size: int
     sha256: str
 

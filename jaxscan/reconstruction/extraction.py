@@ -175,7 +175,7 @@ class Learned:
         return next(iter(self.engines.values())).profiles_per_record
 
     def taught_by(self, batch: Batch) -> "Learned":
-        """With width and speckle of the batch's laser, if this is its first one."""
+        """What is known after a batch: its laser's width and speckle too, if this is the first batch of that laser."""
         laser = batch.laser
         if laser in self.taught:
             return self

@@ -201,7 +201,7 @@ class Lattice(NamedTuple):
 
     @staticmethod
     def of(shape: tuple[int, int], sites: Sites) -> "Lattice":
-        """That of a plane [lines, samples]."""
+        """The lattice of a plane [lines, samples]."""
         line, sample = (_NODES_PX * np.arange(-(-size // _NODES_PX) + 1.0) for size in shape)
         return Lattice(sites.first_line + sites.line_step * line, sites.offsets[0] + sites.pitch * sample, sites)
 

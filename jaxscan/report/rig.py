@@ -127,7 +127,7 @@ class _Canvas:
         self.axes.text(*self.at(place), text, color=colour, parse_math=False, **style)
 
     def finished(self, size: float) -> "Figure":
-        """With a scale."""
+        """The finished figure, with a scale."""
         length = max(step for step in ROUND if step <= 0.5 * size)
         low, high = np.array(self.axes.get_xlim()), np.array(self.axes.get_ylim())
         y, x = high[0] - 0.04 * np.ptp(high), low[0]

@@ -23,7 +23,7 @@ from jaxscan.stripes.stripes import Stripes
 
 
 NO_INFORMATION = 1e3
-"""Standard deviation of a ratio of which the frames tell nothing [1]."""
+"""Standard deviation of a ratio about which the frames say nothing [1]."""
 _MONO = FrameFormat()
 _HALF_WINDOW = 12
 """Samples on either side of a stripe in which its trace is looked for."""

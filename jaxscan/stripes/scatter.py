@@ -85,7 +85,7 @@ class ScatterLaw(NamedTuple):
     """Where rows are alike, their variance over the promised one, less that of `Correlation.mosaic_px` [1]."""
 
     def with_mosaic(self, sigma_px: float) -> "ScatterLaw":
-        """With an error more by the place on a mosaic [px]."""
+        """This law with one more error, which depends on the place on a mosaic [px]."""
         together = float(np.hypot(self.correlation.mosaic_px, sigma_px))
         return self._replace(correlation=self.correlation._replace(mosaic_px=together))
 

@@ -49,9 +49,9 @@ class Measured(NamedTuple):
     at: np.ndarray
     """The picked places, or the ends of a length of the room [k, 3], m, in the cloud's frame."""
     value: float | None
-    """In `unit`; None of a point."""
+    """Value in `unit`; None for a point."""
     sigma: float | None
-    """In `unit`; None where it is unknown."""
+    """Standard deviation in `unit`; None where it is unknown."""
     words: tuple[str, ...]
     plane: PlaneMeasurement | None = None
     turned: bool = False

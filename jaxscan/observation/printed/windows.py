@@ -25,7 +25,7 @@ class Sight(NamedTuple):
     frames: FrameFormat
     line: LaserLine
     noise: NoiseModel
-    """In DN of the planes."""
+    """The noise, in DN of the planes."""
     steps: int = 1
     """DN of the planes that are one of 8 bits."""
 

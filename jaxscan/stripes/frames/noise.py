@@ -37,7 +37,7 @@ _OUTSTANDING = 5.0
 _MARGIN = 24
 """Samples on either side of such a place that are left out too: the foot of a stripe."""
 _EDGE_DN = 10
-"""Steps of the scene from which the flicker of its light is told."""
+"""Steps of the scene from which the flicker of its light is learned."""
 _MIN_COUNT = 200
 _MIN_SHARE = 0.01
 """Share of the samples below which a level is not believed: only a rest of reflections, or an
