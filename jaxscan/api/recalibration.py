@@ -275,7 +275,7 @@ def _feature_eyes() -> FeatureEyes:
 
 
 def turned(capture: Capture, correction: np.ndarray) -> Capture:
-    """A capture with other angles of its table or stage, by so much [rad or m]."""
+    """A capture whose angles or positions are shifted by these amounts [rad or m]."""
     if not np.any(correction):
         return capture
     angles = (capture.angles + correction).tolist()

@@ -56,7 +56,7 @@ def determine(linearised: Linearised, scales: np.ndarray, names: tuple[str, ...]
     inverse = half @ half.T
     covariance[np.ix_(free, free)] = inverse * np.outer(scales[free], scales[free])
     # Shares of the prior in the information: generalised eigenvalues, 0 (data only) ... 1. Modes of the board
-    # are nuisances: of those the priors may know most.
+    # are nuisances, which may depend mostly on the priors.
     told = np.array([not is_mode(names[index]) for index in free])
     free, inverse = free[told], inverse[np.ix_(told, told)]
     root = np.linalg.cholesky(inverse)

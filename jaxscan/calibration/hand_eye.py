@@ -242,7 +242,7 @@ def _first_boards(
 
 
 def _adjoint(pose: Float[np.ndarray, "views 4 4"]) -> Float[np.ndarray, "views 6 6"]:
-    """Twists in the frame a of poses T_ab, of those in the frame b."""
+    """Matrices that take twists from the frame b of poses T_ab to the frame a."""
     turn, at = pose[:, :3, :3], pose[:, :3, 3]
     adjoint = np.zeros((len(pose), 6, 6))
     adjoint[:, :3, :3] = adjoint[:, 3:, 3:] = turn

@@ -533,7 +533,7 @@ def _off_axis_deg(ray: np.ndarray) -> np.ndarray:
 
 
 def focal_share(camera: AbstractCamera, steps: Float[np.ndarray, "steps params"]) -> float:
-    """Standard deviation of the focal length over it [1]: of the scale in the middle of the image, of any model."""
+    """Relative standard deviation of the focal length [1]: of the scale in the middle of the image, for any model."""
     scale = lambda moved: np.trace(np.asarray(moved.slopes(np.array([0.0, 0.0, 1.0])))[:, :2])
     changes = spread(camera, _SMALL * steps[:, : len(camera.parameter_names())], scale) / _SMALL
     return float(np.linalg.norm(changes) / scale(camera))

@@ -20,7 +20,7 @@ from jaxscan.observation.stripes_on_board import MOST_POINTS, BoardStripe
 from jaxscan.stripes import LaserLine, level_exposures
 
 
-# Frames of so many bytes are kept for the second look; of larger captures they are read again.
+# Frames of up to so many bytes are kept for the second look; those of larger captures are read again.
 _KEPT_BYTES = 2**28
 # Records in which another board is looked for where the expected one is in none.
 _LOOKED_AT = 6

@@ -1,8 +1,8 @@
 """Doubts about a sweep, a sentence each: contradictions within it, found by statistics of the sweep itself.
 
-They concern its journal (numbers, angles), its frames (`Seen`: one that comes twice, on and off exchanged, one that does not
-continue its neighbours), their motion, its points, its header, and its pairs (laser light in the laser-off image, motion
-between both).
+They concern its journal (numbers, angles), its frames (`Seen`: one comes twice, on and off are exchanged, one does not
+continue its neighbours), their motion, its points, its header, and its pairs (laser light in the laser-off image,
+motion between both).
 """
 
 from collections.abc import Callable, Iterable, Sequence

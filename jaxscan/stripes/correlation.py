@@ -68,7 +68,7 @@ _LEAST_LEFT = 0.02
 
 
 def alike_in_blocks(moved_px: np.ndarray) -> np.ndarray:
-    """Correlation of errors by compression, of stripes so far apart."""
+    """Correlation of the errors by compression of stripes that are `moved_px` apart."""
     return np.exp(-0.5 * (moved_px / _BLOCK_PX) ** 2)
 
 

@@ -448,7 +448,7 @@ def _noise_of_levels(
     line: LaserLine,
     clear: int,
 ) -> list[NoiseModel]:
-    """The noise of each level, of which `clear` is the last that is not clipped.
+    """The noise of each level; `clear` is the last level that is not clipped.
 
     An exposure has the camera's noise at each of its levels; these have that of the same electrons in other steps. So
     each learns its own; one that is too dark or clipped to show it takes that of the nearest other one.

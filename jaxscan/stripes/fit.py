@@ -59,7 +59,7 @@ class Window(NamedTuple):
     y: Float[Array, "samples stripes"]
     """Level: on minus off, or on where there is no off [DN]."""
     variance: Float[Array, "samples stripes"]
-    """Variance of `y` but for the stripe's own shot noise [DN^2]; UNUSED_VARIANCE where the sample does not count."""
+    """Variance of `y` without the stripe's own shot noise [DN^2]; UNUSED_VARIANCE where the sample does not count."""
     step: Float[Array, " stripes"]
     """Distance between samples [px]."""
     aperture: Float[Array, " stripes"]

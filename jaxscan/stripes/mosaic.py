@@ -28,7 +28,7 @@ _LEAST = 0.3
 _MOST_PX = 0.3
 """Largest amplitude [px]: with a larger one, two places would have the same centre."""
 _LEFT = 0.25
-"""Part of a wave that remains, because it differs by so much between bright and faint, upright and steep stripes."""
+"""Part of a wave that remains, because bright and faint, or upright and steep stripes differ that much in it."""
 _NEAR, _STRAIGHT_PX = 8, 0.5
 """Neighbours on either side whose mean gives the place; and how far off a straight line a surface may be [px]."""
 _ROUNDS, _STEPS = 8, 20

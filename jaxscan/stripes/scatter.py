@@ -156,7 +156,7 @@ class _Windows(NamedTuple):
     width: int
     """Rows of each."""
     products: Float[np.ndarray, " distances"]
-    """Mean of the products of rows so far apart, as they are about a cubic, over the promised variance [1]."""
+    """Mean of the products of errors about a cubic, for each distance of rows, over the promised variance [1]."""
     deviation: Float[np.ndarray, " distances"]
     """Standard deviation of these means."""
     slope: Float[np.ndarray, " windows"]
@@ -368,7 +368,7 @@ def _common(
 
 
 def _differences(rows: ProfileRows, apart: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Differences, absolute, over their promised standard deviation, and amplitudes, of rows so far apart."""
+    """Absolute differences of rows that are `apart`, over their promised standard deviation; and amplitudes."""
     count, length = rows.u.shape[0], max(rows.u.shape[1] - (len(weights) - 1) * apart, 0)
     parts = [np.s_[:, k * apart : k * apart + length] for k in range(len(weights))]
     whole = np.logical_and.reduce([rows.valid[part] for part in parts])

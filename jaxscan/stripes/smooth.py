@@ -182,7 +182,7 @@ def _smooth(u: Array, sigma: Array, valid: Array, tables: Tables) -> tuple[Array
         return keep(lambda field: jnp.pad(field, ((0, 0), (_MARGIN, _MARGIN))), keep(make, *fields))
 
     def pair(make: Callable, *fields: Any) -> tuple[Array, Array]:
-        # A complex number holds two results: of two arrays everything before them would be computed twice.
+        # A complex number holds two results: with two arrays, everything before them would be computed twice.
         both = keep(lambda *given: lax.complex(*(part.astype(jnp.float32) for part in make(*given))), *fields)
         return both.real, both.imag
 

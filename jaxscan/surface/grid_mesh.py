@@ -13,11 +13,11 @@ from jaxscan.surface.mesh import DEFAULT_MESH, Mesh, MeshSettings
 
 
 WIDEST_GAP = 2.5
-"""Profiles further apart than so many usual steps are no neighbours."""
+"""Profiles further apart than this many usual steps are no neighbours."""
 SMALLEST_GAP = 0.25
-"""Profiles nearer than so many usual steps are the same one, taken twice."""
+"""Profiles nearer than this many usual steps are the same one, taken twice."""
 WIDEST_CLOSING = 4.0
-"""The last profile joins the first where their points are at most so many times as far apart as usual."""
+"""The last profile joins the first where their points are at most this many times as far apart as usual."""
 
 
 class Lattice(NamedTuple):
@@ -136,7 +136,7 @@ class Edges(NamedTuple):
     joined: Bool[np.ndarray, "columns lines"]
     """Whether both are on one surface."""
     cost: Float[np.ndarray, "columns lines"]
-    """Departure beyond the noise [m], with a trace of the length: of two diagonals the cheaper one is better."""
+    """Departure beyond the noise [m], with a trace of the length: the cheaper one of two diagonals is better."""
 
 
 def join(first: Nodes, second: Nodes, settings: MeshSettings) -> Edges:

@@ -146,7 +146,7 @@ def _weigh(
 
 
 class _Map(NamedTuple):
-    """A map from the board [m] to the image [px]: a homography, and a cubic for the lens if there are enough centres."""
+    """A map from the board [m] to the image [px]: a homography, and with enough centres a cubic for the lens."""
 
     homography: np.ndarray
     middle: np.ndarray

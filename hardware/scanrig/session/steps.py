@@ -390,7 +390,7 @@ class Flights:
         return flight, proof
 
     def landed(self, most: int = AHEAD) -> Iterator[Flight]:
-        """The pairs that are on the disk by now; waits until at most so many are not, and raises what failed."""
+        """The pairs that are on the disk by now. Waits until at most a given number are not, and raises what failed."""
         while self._flying and (len(self._flying) > most or self._flying[0].stored.done()):
             stored = self._flying[0].stored.result()
             flight = self._flying.popleft()

@@ -64,7 +64,7 @@ class _Header(NamedTuple):
 def read_ply(file: BinaryIO, reading: Reading) -> StoredCloud:
     """A cloud from a PLY file, ASCII or binary.
 
-    A file of this library is read onto its grid, unless its points are too few for so large a one. Of other
+    A file of this library is read onto its grid, unless its points are too few for so large a one. From other
     files, `x y z` and, where present, colours, normals, intensity and sigmas are read, as a single profile, or on the
     grid where they have kept step and row. Lists in the vertices or before them are passed over.
     """

@@ -43,7 +43,7 @@ class RoomLight(NamedTuple):
     explained: np.ndarray
     """bool [lines]: whether the print explains the light round the stripe on that line."""
     exchanged: bool
-    """Whether black and white are exchanged: a chessboard looks the same turned, but for its colours."""
+    """Whether black and white are exchanged: a turned chessboard looks the same, except for its colours."""
 
 
 def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice, *, far: bool = False) -> RoomLight:

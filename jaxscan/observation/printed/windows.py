@@ -43,7 +43,7 @@ class Windows(NamedTuple):
     light: np.ndarray
     """Laser-on minus laser-off [lines, samples], DN."""
     variance: np.ndarray
-    """Variance of that but for the stripe's own photons and speckle [lines, samples], DN^2."""
+    """Variance of that, without the stripe's own photons and speckle [lines, samples], DN^2."""
     dark: np.ndarray
     """Laser-off [lines, samples], DN."""
     dark_variance: np.ndarray
