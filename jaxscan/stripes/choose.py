@@ -1,4 +1,4 @@
-r"""Which candidate of each line is the stripe.
+r"""The choice of the candidate that is the stripe, on each line.
 
 By default that on the best path over the lines of a frame: a stripe goes on from line to line; a reflection rarely
 does. On every line the path takes one candidate or none. A candidate adds to the score of the path

@@ -1,4 +1,4 @@
-"""Which point a click means."""
+"""The point that a click means."""
 
 import numpy as np
 from jaxtyping import Float, Int8

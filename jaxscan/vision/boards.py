@@ -74,7 +74,7 @@ def find_corners(image: np.ndarray, board: AbstractBoard) -> FoundCorners | None
 
 
 def _find_chessboard(image: np.ndarray, shown: np.ndarray, board: Chessboard) -> FoundCorners | None:
-    """By OpenCV's first detector, or by the sector based one where that finds no even grid."""
+    """Corners by OpenCV's first detector, or by the sector-based one where the first finds no even grid."""
     q = _find_squares(shown, board)
     if q is None:
         q = _find_sectors(shown, board)

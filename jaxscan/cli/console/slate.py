@@ -1,4 +1,4 @@
-"""What all pages show: written by the threads that know, read by the server's."""
+"""What all pages show: written by the threads that know it, and read by that of the server."""
 
 import json
 import logging

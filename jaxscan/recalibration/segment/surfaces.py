@@ -114,7 +114,7 @@ _STATION_M, _STATION_RAD = 0.01, 3e-3
 """Standard deviations of the given pose of a station."""
 _SAMPLES, _MORE = 300, 4000
 _LOCAL_M, _LOCAL = 0.4, 20
-"""Around the place between two parts, a step shows in the points within this distance; and least number of each part."""
+"""A step shows in the points within this distance of the place between two parts; and least number of each part."""
 
 
 class Piece(NamedTuple):
