@@ -1,6 +1,6 @@
 r"""Structure in the residuals: which model lacks something, and what error this causes in the rig.
 
-The score test (`score`) checks for every model whether it lacks something. The harm is given as steps of the parameters,
+The score test (`score`) finds for every model whether it lacks something. The harm is given as steps of the parameters,
 like standard deviations along independent directions: $\sum_k s_k s_k^T$ is added to their covariance. With the sizes
 $-m$ of the missing terms the shared unknowns are off by $\delta = (J^T J)^{-1} J^T E m$ ("imitation"), and the missing
 shape itself remains beside it. For lens and sheet the two are added first, since they cancel in part; the shape that
