@@ -157,7 +157,7 @@ class BlendSettings(NamedTuple):
     """Colours of a point that differ by more are not mixed."""
     bearing: float = np.inf
     """Standard deviation [rad] of the weight over the angle about the axis between a point and the middle of the
-    photograph. A small one leaves few photographs for each point, for rigs whose places are not known well."""
+    photograph. A small one leaves few photographs for each point, if their places are not known well."""
     exposure: bool = True
 
     @property
