@@ -85,8 +85,8 @@ def panorama_frame(
     """
     if scanner.turntable.carries != "scanner":
         raise CalibrationError(
-            "a panorama needs a camera that turns, and that of this calibration "
-            f"does not (it carries: {scanner.turntable.carries})."
+            "a panorama needs a camera that turns, and the camera of this calibration "
+            f"does not (carries: {scanner.turntable.carries})."
         )
     if width is None:
         width = 2 * round(np.pi / float(Lens.of(scanner.camera).per_pixel))

@@ -134,7 +134,7 @@ def _closed(
         if abs(1.0 - abs(gain)) > _CONTRADICTS * _CLOSED:
             raise CalibrationError(
                 f"The stored calibration holds the table's gain at {gain:.6f}, but a closed gear has 1 (--closed): "
-                "leave that out, or calibrate with a gain that is not held."
+                "leave out --closed, or calibrate with a gain that is not held."
             )
         return np.zeros((0, len(root))), np.zeros(0)
     return np.sign(gain) * root[row : row + 1] / _CLOSED, np.array([(1.0 - abs(gain)) / _CLOSED])
