@@ -12,7 +12,7 @@ _P, _R = ParamSpec("_P"), TypeVar("_R")
 
 
 def compile_quickly(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """As `jax.jit`, but on a CPU compiled in a quarter of the time, to code that takes three times as long.
+    """Like `jax.jit`, but on a CPU compiling takes a quarter of the time, and the code takes three times as long.
 
     For functions that run a few times in a process, and are called by the host: not inside of another compiled
     function, where JAX takes no such options. Accelerators compile as ever.
@@ -21,7 +21,7 @@ def compile_quickly(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 
 def compile_sooner(function: Callable[_P, _R]) -> Callable[_P, _R]:
-    """As `compile_quickly`, but compiled in two thirds of the time, to code that takes up to twice as long.
+    """Like `compile_quickly`, but compiling takes two thirds of the time, and the code up to twice as long.
 
     For functions that run some ten times.
     """
@@ -29,7 +29,7 @@ def compile_sooner(function: Callable[_P, _R]) -> Callable[_P, _R]:
 
 
 def compile_wide(function: Callable[_P, _R], *, static: Sequence[str] = (), sooner: bool = False) -> Callable[_P, _R]:
-    """As `jax.jit`, but with vectors as wide as the CPU has them: XLA takes half of AVX-512 by itself.
+    """Like `jax.jit`, but with vectors as wide as the CPU has them: XLA takes half of AVX-512 by itself.
 
     Args:
         function: It runs often, on long arrays.
@@ -45,7 +45,7 @@ _UNKNOWN: set[str] = set()
 
 
 def compile_with(function: Callable[_P, _R], options: dict[str, Any], static: Sequence[str] = ()) -> Callable[_P, _R]:
-    """As `jax.jit`, on a CPU with those of these options of XLA's that the installed release has."""
+    """Like `jax.jit`, but on a CPU with these options of XLA, as far as the installed release has them."""
 
     @functools.cache
     def compiled(unknown: frozenset[str]) -> Callable[_P, _R]:

@@ -17,7 +17,7 @@ else:
 
 
 def load_on_use(package: str, *others: str) -> None:
-    """Make a package a facade: a name that its `__init__.py` lists is imported when it is first asked for.
+    """Make a package a facade: a name that its `__init__.py` lists is imported when it is first used.
 
     Args:
         package: Its `__name__`.
@@ -59,7 +59,7 @@ class _Facade(ModuleType):
     def _listed(self) -> dict[str, tuple[str, str]]:
         """The module of every name, and its name there."""
         if self._homes is None:
-            # By words: to load a parser takes longer, and a signal may come before anything is loaded.
+            # Split into words: loading a parser takes longer, and a signal may come before anything is loaded.
             with open(str(self.__file__), encoding="utf-8") as file:
                 listed = file.read().partition("if TYPE_CHECKING:")[2].partition("else:")[0]
             homes: dict[str, tuple[str, str]] = {}

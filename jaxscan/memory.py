@@ -1,4 +1,4 @@
-"""What XLA's code for a CPU is told about memory: which results are kept, and that only what exists is computed."""
+"""Hints on memory for XLA's code for a CPU: which results are kept, and that only what exists is computed."""
 
 import functools
 from collections.abc import Callable
@@ -31,7 +31,7 @@ def kept(some: Bool[Array, ""], make: Callable[..., Any], *fields: Any) -> Any:
 
 
 def folded(operation: Callable[[Array, Array], Array], rows: Array) -> Array:
-    """Of all rows one, by an operation of two. XLA reduces a leading axis in slow loops."""
+    """All rows folded into one, by an operation on two rows. XLA itself reduces a leading axis in slow loops."""
     odd: list[Array] = []
     while len(rows) > 1:
         half = len(rows) // 2

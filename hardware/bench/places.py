@@ -1,4 +1,4 @@
-"""The bench's folders and locks, and its errors, which are not those of the rig that it simulates."""
+"""The bench's folders and locks, and its own errors, which are kept apart from those of the rig that it simulates."""
 
 import fcntl
 import os
@@ -19,11 +19,11 @@ class BenchError(JaxscanError):
 HERE = Path(__file__).resolve().parent
 WORLD = HERE / "camera" / "world.toml"
 TWO_LASERS = HERE / "camera" / "world_two_lasers.toml"
-"""The same with a second laser."""
+"""A rig like that of `WORLD`, with a second laser."""
 
 
 def runtime() -> Path:
-    """The folder of the one running `make bench`; fixed, because configs/bench.toml names the port in it."""
+    """The folder of the bench that `make bench` runs; fixed, because configs/bench.toml names the port in it."""
     return Path(os.environ.get("JAXSCAN_BENCH") or HERE / "build" / "desk")
 
 
@@ -73,7 +73,7 @@ def own_folder(folder: Path) -> Path:
 
 
 def private_folder() -> Path:
-    """This user's folder for what lives no longer than a login: in XDG_RUNTIME_DIR, or in the temporary folder."""
+    """This user's folder for files that last no longer than a login: in XDG_RUNTIME_DIR, or in the temporary folder."""
     runtime = os.environ.get("XDG_RUNTIME_DIR")
     if runtime and os.path.isabs(runtime) and os.path.isdir(runtime):
         return own_folder(Path(runtime) / "jaxscan")

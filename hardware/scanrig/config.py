@@ -189,7 +189,7 @@ class RigConfig(FileModel):
     controller: ControllerTable = ControllerTable()
     turntable: TurntableTable = TurntableTable()
     laser: Annotated[tuple[RigLaser, ...], pydantic.Field(min_length=1, max_length=MAX_LASERS)] = (RigLaser(),)
-    """In the order of the controller's numbers; each step of a sweep is taken with one after the other."""
+    """Lasers in the order of the controller's numbers; each step of a sweep is taken with one laser after the other."""
     camera: CameraSettings
     trigger: TriggerTable = TriggerTable()
     board: BoardTable | None = None

@@ -11,7 +11,7 @@ WIDTH, ROW, TOP = 980, 34, 64
 CHIP = (30, 190)
 """Left edge and width of the controller."""
 PARTS = (560, 390)
-"""The same of the parts."""
+"""Left edge and width of the parts."""
 STYLE = (
     "text{font:13px 'DejaVu Sans',Verdana,sans-serif;fill:#1c2530}.small{font-size:11px;fill:#5b6672}"
     ".title{font-size:15px;font-weight:bold}.box{fill:#f4f6f8;stroke:#5b6672}"

@@ -181,7 +181,7 @@ class Again(NamedTuple):
     """A stored calibration and a new solve of its observations."""
 
     calibration: Calibration
-    """With `fit`; captures and versions are those of the stored one."""
+    """The new calibration, with its `fit`; captures and versions are those of the stored one."""
     departure: float
     """Departure of the parameter that moved most, in its standard deviations [1]; infinite if a held one changed."""
     parameter: str

@@ -102,7 +102,7 @@ def draw_texture(mesh: Mesh, cloud: PointCloud, scanner: Scanner, texture: Textu
 
 def _colours(cloud: PointCloud, scanner: Scanner, texture: Texture) -> Colour:
     images = megapixels(*texture.capture.image_size, len(texture.capture))
-    # As of `colour_cloud`, with the mesh before the first image.
+    # The same as for `colour_cloud`, with the mesh before the first image.
     told = Stages(texture.progress, (Stage(4.5, 0.33 * images),)).part(0)
     photographs = open_photographs(texture.capture, scanner, progress=told)
     occluder = make_occluder(cloud, scanner)

@@ -47,7 +47,7 @@ NORMAL_UNIT = "Normals in the scanner's frame: red, green and blue are 127.5 (1 
 
 @dataclass(frozen=True)
 class CapturedPhotographs:
-    """The laser-off images of a capture, read when they are asked for, one after the other."""
+    """The laser-off images of a capture, read one after the other when they are needed."""
 
     capture: Capture
     records: tuple[int, ...]
@@ -58,7 +58,7 @@ class CapturedPhotographs:
         return self.where(lambda angle: True)
 
     def where(self, wanted: Callable[[float], bool]) -> Iterator[Photograph]:
-        """Those whose angle is wanted; the others are not read."""
+        """The photographs whose angle is wanted; the others are not read."""
         angles = self.capture.angles
         for done, record in enumerate(self.records):
             if wanted(float(angles[record])):
@@ -82,7 +82,7 @@ def has_photographs(capture: Capture) -> bool:
 
 
 def chosen_photographs(capture: Capture, scanner: Scanner, use: Use) -> tuple[int, ...]:
-    """Records whose laser-off images are looked at: all, or so many evenly spread over the sweep as suffice."""
+    """Records whose laser-off images are looked at: all, or enough of them, evenly spread over the sweep."""
     period = 2 * np.pi if scanner.turntable.carries in ("scanner", "object") else None
     return tuple(choose_evenly(capture.angles, enough_photographs(scanner, use), period=period).tolist())
 

@@ -45,7 +45,7 @@ def recalibrate(
         progress: Called with (work done, work in all).
 
     Returns:
-        The new scanner and everything by which it can be judged; `calibration` is to be saved. Where nothing is to be
+        The new scanner and everything that is needed to judge it; `calibration` is to be saved. Where nothing is to be
         updated, `refused` says why, and `calibration` is None.
 
     Raises:
@@ -275,7 +275,7 @@ def _feature_eyes() -> FeatureEyes:
 
 
 def turned(capture: Capture, correction: np.ndarray) -> Capture:
-    """A capture with other angles of its table or stage, by so much [rad or m]."""
+    """A capture whose angles or positions are shifted by these amounts [rad or m]."""
     if not np.any(correction):
         return capture
     angles = (capture.angles + correction).tolist()
@@ -310,7 +310,7 @@ def _stages(
     *,
     features: float = 0.06,
 ) -> Stages:
-    """Every capture, the boards, features of so many seconds a megapixel, and the solves."""
+    """Stages for every capture, the boards, features (in seconds a megapixel), and the solves."""
     pixels = [megapixels(*capture.image_size, len(capture)) for capture in captures]
     shown = sum(megapixels(*capture.image_size, len(capture)) for capture in boards)
     # What smooths the stripes of the first sweep is compiled behind its frames.

@@ -57,7 +57,7 @@ def report_files(cloud: Path, calibration: Path, path: Path) -> None:
 
 
 def calibration_rows(path: Path, named: str) -> list[tuple[str, str]]:
-    """Name, digest and date of a calibration, and whether it is that which a cloud names; for `Beside`."""
+    """Name, digest and date of a calibration, and whether it is the one that a cloud names; for `Beside`."""
     digest = calibration_digest(path)
     rows = [("file", path.name), ("digest", digest), ("date", calibration_date(load_calibration(path), path))]
     if named and named != digest:

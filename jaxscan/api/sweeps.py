@@ -59,9 +59,9 @@ class FoundStripes(NamedTuple):
     kept: bool
     """Whether they are kept now."""
     notes: tuple[str, ...]
-    """On stripes and pairs of frames, and on a folder that cannot be written; a sentence each."""
+    """Notes on stripes and pairs of frames, and on a folder that cannot be written; a sentence each."""
     noise: str
-    """As in `Reconstruction`."""
+    """See `Reconstruction`."""
     smoothed: SmoothedSweep | None
     """The centres smoothed along the stripes; None where the settings do not smooth, or there is no stripe."""
 

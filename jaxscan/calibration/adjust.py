@@ -51,12 +51,12 @@ def determine(linearised: Linearised, scales: np.ndarray, names: tuple[str, ...]
     information = reduced[np.ix_(free, free)]
     size = np.sqrt(np.diag(information))
     eigenvalues, axes = np.linalg.eigh(information / np.outer(size, size))
-    # As the product of a matrix and its transpose it is symmetric to the last digit, however weak a direction is.
+    # The product of a matrix and its transpose is symmetric to the last digit, however weak a direction is.
     half = axes / np.sqrt(eigenvalues) / size[:, None]
     inverse = half @ half.T
     covariance[np.ix_(free, free)] = inverse * np.outer(scales[free], scales[free])
     # Shares of the prior in the information: generalised eigenvalues, 0 (data only) ... 1. Modes of the board
-    # are nuisances: of those the priors may know most.
+    # are nuisances, which may depend mostly on the priors.
     told = np.array([not is_mode(names[index]) for index in free])
     free, inverse = free[told], inverse[np.ix_(told, told)]
     root = np.linalg.cholesky(inverse)

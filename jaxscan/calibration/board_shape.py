@@ -157,7 +157,7 @@ def hold_out(result: Adjustment, candidates: Sequence[BoardModes] = ()) -> list[
 
 
 def _moving(modes: BoardModes, count: int) -> np.ndarray:
-    """Which of so many modes are there and move a corner."""
+    """Whether each of the first `count` modes exists and moves a corner."""
     moving = np.any(modes.corner != 0, axis=(0, 1))
     return np.pad(moving, (0, count - len(moving)))
 

@@ -56,9 +56,9 @@ class Estimate:
     adjustment: Adjustment
     """The solve."""
     shape: ShapeChoice
-    """The shape of the board that was freed in it."""
+    """The shape of the board that was freed in this estimate."""
     observations: Observations
-    """Observations with those lines alone on the boards that were taken for the lasers'."""
+    """Observations with only those lines on the boards that were taken for lines of the lasers."""
     given: Observations
     """Observations of the same lasers, before lines were left out."""
     rig: Rig
@@ -110,7 +110,7 @@ def estimate(
         observations: As there.
         settings: As there.
         known: As there.
-        before: An estimate from a first look at the same boards, from whose camera this one begins.
+        before: An estimate from a first look at the same boards; this one begins with its camera.
 
     Raises:
         CalibrationError: As there.
@@ -134,7 +134,7 @@ def estimate(
         except CalibrationError:
             if converged:
                 raise
-            # The diagnosis would be of numbers that mean nothing.
+            # A diagnosis would describe numbers that mean nothing.
             raise CalibrationError(not_converged(settings)) from None
         if reasons and not converged:
             raise CalibrationError(not_converged(settings))
@@ -204,7 +204,7 @@ def _rig(data: Prepared, observations: Observations, settings: CalibrationSettin
 
 
 def _of_rig(observations: Observations, data: Prepared, rig: Rig) -> tuple[Observations, Prepared]:
-    """The observations with those lasers alone that are solved."""
+    """The observations of only those lasers that are solved."""
     if rig.lasers == observations.laser_names:
         return observations, data
     if rig.lasers:
@@ -259,7 +259,7 @@ def _first_camera(
     if known.camera is None:
         cameras, poses = seed_camera(apart, settings.camera)
     else:
-        # With all coefficients that the model knows, as first cameras have them.
+        # The camera has all coefficients that the model knows, like first cameras.
         camera, names = known.camera, [name for block in known.camera.lens for name in block.parameters]
         lens = np.pad(np.asarray(camera.distortion), (0, len(names) - len(camera.distortion)))
         camera = replace(camera, distortion=lens)
@@ -283,7 +283,7 @@ def _lowest(starts: list[Problem], data: Prepared, settings: CalibrationSettings
 
 
 def _apart(data: Prepared) -> Prepared:
-    """Every view a placement of its own, so that a board moved by mistake does no harm."""
+    """Observations in which every view is its own placement, so that a board moved by mistake does no harm."""
     return data._replace(
         placement=np.where(data.fixes_pose, np.arange(len(data.fixes_pose)), 0).astype(np.int32),
         angle=np.zeros_like(data.angle),
@@ -362,14 +362,14 @@ def solved_rig(found: Estimate) -> SolvedRig | None:
 
 
 def _believed(observations: Observations) -> tuple[str, ...]:
-    """The lasers on whose sheet the lines of most boards lie: a stripe elsewhere has a row without a point."""
+    """The lasers whose sheets contain the lines of most boards: a stripe elsewhere has a row without a point."""
     laser, found = np.asarray(observations.stripes.laser), np.any(np.asarray(observations.stripes.valid), axis=1)
     own = {name: found[laser == index] for index, name in enumerate(observations.laser_names)}
     return tuple(name for name, lit in own.items() if lit.sum() > _BELIEVED * len(lit))
 
 
 def choose(first: Estimate, second: Estimate) -> tuple[Estimate, SecondLook]:
-    """The second estimate unless it explains its observations worse, and the gains of the second look."""
+    """The second estimate, unless it explains its observations worse; and the gains of the second look."""
     before, after = (_explained(one) for one in (first, second))
     # A look that loses a part of the rig would explain the rest of its observations well.
     whole = set(first.rig.lasers) <= set(second.rig.lasers) and (second.rig.moves or not first.rig.moves)

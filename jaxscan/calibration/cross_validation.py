@@ -42,7 +42,7 @@ class Split(NamedTuple):
     """The difference of two solves of parts of the observations, along directions that the data know."""
 
     difference: np.ndarray
-    """Of the free unknowns [free], scaled units."""
+    """Difference of the free unknowns [free], scaled units."""
     free: np.ndarray
     """bool [shared]: which unknowns those are."""
     whiten: np.ndarray
@@ -183,7 +183,7 @@ def deal_halves(placement: np.ndarray, used: np.ndarray) -> np.ndarray:
 
 
 def _split(result: Adjustment, difference: np.ndarray, units: np.ndarray, noise: np.ndarray, per_error: float) -> Split:
-    """With the variance by noise taken in units of a covariance."""
+    """The split for a difference, whose variance by noise is measured in units of a covariance."""
     root = np.linalg.cholesky(units)
     scatter = np.linalg.solve(root, np.linalg.solve(root, noise).T)
     variance, directions = np.linalg.eigh(0.5 * (scatter + scatter.T))
@@ -227,7 +227,7 @@ def _known(linearised: Linearised, free: np.ndarray) -> np.ndarray | None:
     if not np.all(size > 0):
         return None
     correlation = reduced / np.outer(size, size)
-    # Of what is nothing but rounding not even the symmetry is left.
+    # A matrix that is nothing but rounding is not even symmetric.
     if (
         np.abs(correlation - correlation.T).max() > _SYMMETRIC
         or np.linalg.eigvalsh(correlation)[0] < len(size) * np.finfo(float).eps

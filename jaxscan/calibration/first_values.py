@@ -76,9 +76,9 @@ class _Corners(NamedTuple):
     """Corners of the views that fix a pose."""
 
     points: np.ndarray
-    """On the flat board [corners, 2], m."""
+    """Corners on the flat board [corners, 2], m."""
     q: np.ndarray
-    """From the middle of the image [views, corners, 2], px."""
+    """Seen corners, counted from the middle of the image [views, corners, 2], px."""
     valid: np.ndarray
     """[views, corners]."""
 
@@ -168,7 +168,7 @@ def _fit_homographies(points: np.ndarray, q: np.ndarray, valid: np.ndarray) -> n
 
 
 def _median(values: np.ndarray, valid: np.ndarray) -> np.ndarray:
-    """Of the valid values of each row."""
+    """Median of the valid values of each row; 0 where there are none."""
     return np.array([np.median(row[there]) if there.any() else 0.0 for row, there in zip(values, valid, strict=True)])
 
 
@@ -244,7 +244,7 @@ _REFINEMENTS = 10
 # The cubic term of real lenses, from the orthographic (-1/6) to the stereographic (1/12) and a little beyond.
 _CUBIC = (-0.12, -0.06, 0.0, 0.06)
 _CUBIC_RANGE = (-0.18, 0.12)
-# As many views as this, spread over all, tell the focal length well enough for a start.
+# This many views, evenly chosen from all, show the focal length well enough for a start.
 _SEARCH_VIEWS = 9
 # Misfit of a lens with one coefficient [share of the image's radius]: for real lenses below 0.02.
 _MAX_MISFIT = 0.1

@@ -223,7 +223,7 @@ def _misfit(step: Array, own: Array, data: tuple[Array, ...]) -> Array:
     camera = compose(hand_cam, exponential(step[:6]))
     off = compose(compose(back, compose(board, exponential(own))), compose(unseen, invert(camera)))
     turned = off[:3, :3]
-    # Of a small turn.
+    # The rotation vector of a small turn.
     xp = namespace(off)
     rotation = 0.5 * xp.stack([turned[2, 1] - turned[1, 2], turned[0, 2] - turned[2, 0], turned[1, 0] - turned[0, 1]])
     return root @ (xp.concatenate([off[:3, 3], rotation]) + by_camera @ step[6:])
@@ -242,7 +242,7 @@ def _first_boards(
 
 
 def _adjoint(pose: Float[np.ndarray, "views 4 4"]) -> Float[np.ndarray, "views 6 6"]:
-    """Twists in the frame a of poses T_ab, of those in the frame b."""
+    """Matrices that take twists from the frame b of poses T_ab to the frame a."""
     turn, at = pose[:, :3, :3], pose[:, :3, 3]
     adjoint = np.zeros((len(pose), 6, 6))
     adjoint[:, :3, :3] = adjoint[:, 3:, 3:] = turn

@@ -176,7 +176,7 @@ class Linearised:
 
     @cached_property
     def stripe_leverage(self) -> Float[np.ndarray, "stripes points"]:
-        """The same of stripes."""
+        """The same share for the residuals of stripes [1]."""
         owner = np.asarray(self.problem.stripe_placement())
         return _leverage(self.stripe_slopes, self.chains.stripe, self.covariance.of(owner))
 

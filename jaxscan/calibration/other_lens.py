@@ -23,7 +23,7 @@ from jaxscan.observation import Observations
 _NOISY = 2.0
 # Another model is advised where it brings the residuals to this share, and taken where to this one.
 _BETTER, _FAR_BETTER = 0.7, 0.5
-# Of models that explain the corners alike, by this factor, the one with the fewest parameters goes least astray.
+# Among models whose residuals agree up to this factor, the one with the fewest parameters goes least astray.
 _ALIKE = 1.1
 # More of the corners than this may not go for it.
 _MORE_REJECTED = 0.02
@@ -36,7 +36,7 @@ class OtherLens(NamedTuple):
 
     settings: CalibrationSettings
     option: str
-    """Of the command line."""
+    """The option of the command line that chooses the model."""
     rms_px: float
     """Root mean square residual of the corners with it."""
     before_px: float

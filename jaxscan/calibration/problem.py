@@ -367,7 +367,7 @@ def make_problem(
 
 
 def used_stops(problem: Problem) -> Bool[np.ndarray, "placements stops"]:
-    """Which of the unknown stops there are."""
+    """Which of the unknown stops exist."""
     used, (view, stop) = np.zeros(np.shape(problem.stops), bool), np.nonzero(problem.stop)
     used[np.asarray(problem.placement)[view], stop] = True
     return used

@@ -24,7 +24,7 @@ HALF_TURN_DEPTHS_M = (1.91, 3.075)
 """Depths of two opposite walls, seen half a turn apart: rooms about 3.8 and 6.1 m wide [m]."""
 TRAVEL_M = 0.5
 """Travel over which a linear stage is judged [m]."""
-# As long, for its depth, as 300 mm at 2.5 m, by which scanners of rooms are compared.
+# Length over depth: that of 300 mm at 2.5 m, by which scanners of rooms are compared.
 _LENGTH_SHARE = 0.12
 _COMMON_DEPTH_M = 2.5
 # A wall 4 m long from 2.5 m away: its length, and the depth of its ends, for its distance.
@@ -206,7 +206,7 @@ def _typical(scanner: Scanner, laser: int, reached: list[Lit]) -> list[Length]:
     lit = _middle(reached)
     length, twice = _LENGTH_SHARE * lit.depth, lambda one: np.tile(one.middle(), (2, 1))
     if np.ptp(lit.along) >= length:
-        # As near to the optical axis as the image lets it be.
+        # The length lies as near to the optical axis as the image allows.
         middle = np.clip(0.0, lit.along.min() + length / 2, lit.along.max() - length / 2)
         at, order = middle + length / 2 * np.array([-1.0, 1.0]), np.argsort(lit.along)
         # Between neighbouring lines the stripe is straight to far less than a pixel.
@@ -533,7 +533,7 @@ def _off_axis_deg(ray: np.ndarray) -> np.ndarray:
 
 
 def focal_share(camera: AbstractCamera, steps: Float[np.ndarray, "steps params"]) -> float:
-    """Standard deviation of the focal length over it [1]: of the scale in the middle of the image, of any model."""
+    """Relative standard deviation of the focal length [1]: of the scale in the middle of the image, for any model."""
     scale = lambda moved: np.trace(np.asarray(moved.slopes(np.array([0.0, 0.0, 1.0])))[:, :2])
     changes = spread(camera, _SMALL * steps[:, : len(camera.parameter_names())], scale) / _SMALL
     return float(np.linalg.norm(changes) / scale(camera))

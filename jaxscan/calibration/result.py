@@ -178,7 +178,7 @@ class Verdict:
     p: float | None = None
     """Probability that chance alone gives so small a p in one of the tests."""
     p_structure: float | None = None
-    """The same of the tests' `p_structure`."""
+    """The same probability for the tests' `p_structure`."""
     tests: tuple[ModelTest, ...] = ()
     advice: tuple[str, ...] = ()
     """Captures and settings that would help, the most needed first."""
@@ -334,7 +334,7 @@ class Quality:
     """Estimated noise over the stated sigmas [1]."""
     stripe_noise_over_sigma: float | None = None
     stripe_noise_by_contrast: dict[str, float] | None = None
-    """The same of the points of each contrast class, of classes with kept points [1]."""
+    """The same for the points of each contrast class that has kept points [1]."""
     stripe_correlation: float | None = None
     """Neighbouring stripe points that share one error [1]."""
     angle_sigma: float | None = None

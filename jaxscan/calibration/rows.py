@@ -26,7 +26,7 @@ from jaxscan.calibration.problem import (
 from jaxscan.geometry import AbstractCamera, Array, BowedBoard, LaserSheet, invert, transform
 
 
-# Stripes and views that are evaluated at once; of padding nothing is.
+# Stripes and views that are evaluated at once; padding is not evaluated.
 _STRIPES, _VIEWS = 8, 24
 
 

@@ -23,7 +23,7 @@ from jaxscan.leastsq import Unknowns
 
 _LENS_DEGREE, _HEIGHT_DEGREE, _PRINT_DEGREE = 6, 4, 3
 _RADIAL_POWERS = (4, 5)
-# Of the sheet along the stripe, and across it.
+# Degrees of the sheet along the stripe, and across it.
 _SHEET_DEGREES = (5, 1)
 
 
@@ -59,11 +59,11 @@ class _Rows(NamedTuple):
     """Terms of each model that all owners share [owners, rows, terms], whitened as all here."""
     single: dict[str, _Single]
     slopes: np.ndarray
-    """By camera, pose and sheet [owners, rows, own]."""
+    """Derivatives by camera, pose and sheet [owners, rows, own]."""
     chain: np.ndarray
-    """From these to the unknowns, the shared ones first [owners, own, unknowns]."""
+    """Derivatives of these by the unknowns, the shared ones first [owners, own, unknowns]."""
     block: np.ndarray
-    """Whose own unknowns, the board's pose among them, each owner has [owners]."""
+    """Number of the block of own unknowns, among them the board's pose, of each owner [owners]."""
     residual: np.ndarray
     """[owners, rows]."""
 

@@ -1,9 +1,9 @@
-r"""Structure in the residuals: which model lacks something, and the error that this does to the rig.
+r"""Structure in the residuals: which model lacks something, and what error this causes in the rig.
 
-The score test (`score`) asks of every model whether it lacks something. The harm is given as steps of the parameters,
+The score test (`score`) finds for every model whether it lacks something. The harm is given as steps of the parameters,
 like standard deviations along independent directions: $\sum_k s_k s_k^T$ is added to their covariance. With the sizes
 $-m$ of the missing terms the shared unknowns are off by $\delta = (J^T J)^{-1} J^T E m$ ("imitation"), and the missing
-shape itself remains beside it. Of lens and sheet the two are added first, since they cancel in part; the shape that
+shape itself remains beside it. For lens and sheet the two are added first, since they cancel in part; the shape that
 their parameters can follow becomes a step of these, and the rest a step of those that act alike.
 """
 
@@ -45,7 +45,7 @@ class Harm(NamedTuple):
 
     test: ModelTest
     steps: Float[np.ndarray, "steps shared"]
-    """In px, rad, m: at most one for each parameter of the rig; none without structure."""
+    """Steps in px, rad, m: at most one for each parameter of the rig; none without structure."""
 
 
 class _Seen(NamedTuple):
@@ -126,7 +126,7 @@ def _score_tests(result: Adjustment, looks: dict[str, _Seen]) -> list[ModelTest]
         test = _tested(name, statistic, dof, noise)
         if name == "lens":
             radial = _tested(name, looks["radial"].statistic, len(looks["radial"].parts), noise)
-            # Of two tests of the same model the one that fails, if any; two chances of chance count.
+            # Two tests have the same model; the one that fails counts, if any. Chance had two tries, so p is doubled.
             found, loser = (test, "radial") if test.p_structure <= radial.p_structure else (radial, "lens")
             del looks[loser]
             test = replace(found, p=min(1.0, 2.0 * found.p), p_structure=min(1.0, 2.0 * found.p_structure))
@@ -136,7 +136,7 @@ def _score_tests(result: Adjustment, looks: dict[str, _Seen]) -> list[ModelTest]
 
 
 def _cross_validations(result: Adjustment, settings: CalibrationSettings) -> list[tuple[ModelTest, Split]]:
-    """Those that the data allow."""
+    """The cross-validations that the data allow."""
     found, noise = [], (result.corner_noise, result.stripe_noise_rms)
     halves, regions = compare_halves(result, settings, (1.0, 1.0)), compare_regions(result, settings)
     if halves is not None:
@@ -330,7 +330,7 @@ def _of_motion(result: Adjustment, score: Score, missing: _Missing) -> list[np.n
     problem, names = result.problem, layout_of(result.problem).names
     along, chance = (score.shapes["table"] @ part[score.places["table"]] for part in (missing.size, missing.noise))
     error = np.sqrt(max(np.mean(along**2) - np.mean(np.sum(chance**2, axis=1)), 0.0))
-    # Of each board's middle across its line of sight and across the motion.
+    # Errors of each board's middle, across its line of sight and across the motion.
     views = repeated_views(problem)
     pose, middle = result.linearised.view_poses[views], np.append(np.asarray(problem.frame)[:2], 0.0)
     turn, point = pose[:, :3, :3], pose[:, :3, :3] @ middle + pose[:, :3, 3]

@@ -119,7 +119,7 @@ _SHOWN = 12
 
 
 def numbers(choice: "rigs.RigChoice", step_deg: float, seconds: float) -> dict[str, Any]:
-    """The result as JSON tells it; sigmas contain the allowance for the calibration, but for `stripe_mm`."""
+    """The result as JSON output; sigmas other than `stripe_mm` contain the allowance for the calibration."""
     wish, chosen = choice.wish, choice.design
     near, far = chosen.view_m
     depths = [share * wish.range_m for share in _SHARES if near <= share * wish.range_m <= far]

@@ -30,7 +30,7 @@ class Entry(NamedTuple):
     key: str
     """Name of the parameter."""
     names: tuple[str, ...]
-    """As pages show them, short ones first; none for an argument."""
+    """Names as pages show them, short ones first; none for an argument."""
     value: str
     """Stands for the value; "" for a switch."""
     text: str

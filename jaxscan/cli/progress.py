@@ -31,7 +31,7 @@ _BESIDE_BAR = 72
 _TOLD = 0.05
 """Share of its work after which processor time and the clock tell how fast a task is now."""
 _BETWEEN_LINES_S = 5.0
-"""Lines of progress in a log are at least so far apart."""
+"""Shortest time between lines of progress in a log."""
 
 
 def duration(seconds: float) -> str:
@@ -45,7 +45,7 @@ def duration(seconds: float) -> str:
 
 @final
 class Remaining:
-    """How long something still takes, by what was done so far."""
+    """How long something still takes, estimated from what was done so far."""
 
     def __init__(
         self,

@@ -159,7 +159,7 @@ def compare(
 
 
 def _changes(found: "projects.Comparison") -> list[str]:
-    """In words: lengths that have changed, and those that are lost."""
+    """Sentences on lengths that have changed, and on those that are lost."""
     changes = []
     if found.moved:
         worst = max(found.moved, key=lambda one: abs(one.difference_m))

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 
 _READABLE_S = 0.25
 _POSE = 4
-"""A new pose of the board takes as long as about so many records: more by hand, less on the bench."""
+"""A new pose of the board takes about as long as this many records: more by hand, less on the bench."""
 
 
 class ScanDisplay:
@@ -75,7 +75,7 @@ class ScanDisplay:
     def pair(self, angle: float, peak_dn: Callable[[], float]) -> None:
         """Show a pair that was taken: the table's angle [rad] and the peak level of the laser's line [DN].
 
-        The table waits meanwhile, so the peak is asked for only as often as people can read it.
+        The table waits meanwhile, so the peak is read only as often as people can follow it.
         """
         self._fields["angle"] = f"{math.degrees(angle):7.2f}°"
         if self._bars is not None and time.monotonic() - self._read_s >= _READABLE_S:

@@ -108,7 +108,7 @@ def _drawn(sheet: Sheet) -> Table:
 
 
 def _raise_again() -> None:
-    """In place of rich's own answer, which ends the process with code 1."""
+    """Replaces rich's own answer, which would end the process with code 1."""
     raise
 
 

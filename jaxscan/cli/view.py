@@ -103,7 +103,7 @@ class _Read(NamedTuple):
     """A cloud as it was read."""
 
     cloud: "PointCloud"
-    """In metres, z up."""
+    """The cloud in metres, z up."""
     turned: bool
     """Whether its axes are not those of the file."""
     notes: list[str]

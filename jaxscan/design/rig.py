@@ -39,7 +39,7 @@ SENSORS = (
 )
 """Classes of global-shutter sensors, fewest pixels first."""
 STRIPE_NOISE_PX = 0.1
-"""Of stripes of 40 to 80 DN on the walls of the path-traced rooms, 0.06 to 0.11 px were measured: "sweep, 40–80 DN"
+"""Noise of 0.06 to 0.11 px was measured for stripes of 40 to 80 DN on walls of the path-traced rooms: "sweep, 40–80 DN"
 in experiments/results/unkind.md."""
 CALIBRATION_PX = 0.05
 """An allowance: the sheets calibrated in the path-traced rooms were 0.02 to 0.07 px beside their true places:
@@ -111,7 +111,7 @@ class RigDesign:
     sensor: Sensor
     lens_mm: float
     baseline_m: float
-    """From the camera's centre of projection to the laser, along the image's x."""
+    """Distance from the camera's centre of projection to the laser, along the image's x."""
     crossing_m: float
     """Depth at which the sheet crosses the optical axis [m]."""
 

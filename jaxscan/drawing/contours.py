@@ -113,7 +113,7 @@ def kept_parts(points: np.ndarray, kept: np.ndarray) -> list[np.ndarray]:
 
 PIXEL_M = 0.02
 AROUND_PX = 6
-"""Gaps of up to about twice so many pixels within an outline are closed."""
+"""Gaps within an outline are closed if they have at most about twice this many pixels."""
 SMALLEST_M2 = 0.02
 
 

@@ -11,7 +11,7 @@ from jaxscan.measurement.grid import MOST_PIXELS, Quads, rasterise
 
 
 BEFORE_M, BEHIND_M = 0.2, 0.1
-"""Things up to so far before and behind a wall are in its picture [m]."""
+"""Things up to this distance before and behind a wall are in its picture [m]."""
 
 
 @dataclass(frozen=True)

@@ -31,7 +31,7 @@ from jaxscan.measurement.outline.outline import clear_distances
 
 
 ROW_MM = 9.0
-"""From a wall to the first row of dimensions, and from that to the second."""
+"""Distance from a wall to the first row of dimensions, and from that row to the second."""
 BAND_MM = 2.0
 """Width of the grey behind the face of a wall, whose thickness is unknown."""
 GLASS_M = 0.05

@@ -32,7 +32,7 @@ class _End(NamedTuple):
 
 
 def section_before(survey: Survey, wall: str, distance_m: float) -> tuple[tuple[float, float], tuple[float, float]]:
-    """The two points of the plan [m] of a section that is parallel to a wall, so far before it; for `draw_section`.
+    """The two points of the plan [m] of a section parallel to a wall, at a distance before it; for `draw_section`.
 
     Raises:
         MeasurementError: If there is no wall of this name.

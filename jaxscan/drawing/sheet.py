@@ -22,7 +22,7 @@ SIZES_MM: dict[Size, tuple[float, float]] = {
 SCALES = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000)
 """Scales of technical drawings (ISO 5455)."""
 BINDING_MM, EDGE_MM = 20.0, 10.0
-"""From the left edge of the paper to the frame, and from the others (ISO 5457)."""
+"""Distance from the left edge of the paper to the frame, and from the other edges (ISO 5457)."""
 TITLE_MM = (130.0, 42.0)
 """Width and height of the title block, and the height of the strip with the legend."""
 BESIDE_MM = 250.0

@@ -81,7 +81,7 @@ class LaserSheet(ArrayModule):
         return xp.asarray(_dot(self.normal, p) - self.distance - self._bow_height(xp, p))
 
     def slope(self, p: Float[Array, "... 3"]) -> Float[Array, "... 3"]:
-        """Derivative of `offset` by the point [1]: the normal of the bowed sheet there, but for its length."""
+        """Derivative of `offset` by the point [1]: the normal of the bowed sheet there, except for its length."""
         xp = namespace(self, p)
         g, e, along, across, squared = self._in_sheet(xp, p)
         tau, (b2, b3) = xp.arctan2(across, along), (self.bow[..., k] for k in range(2))

@@ -25,8 +25,8 @@ _UNEQUAL = 1.5
 _FAR_M = 60.0
 """Distance of all light of a laser, which no rig of this kind has."""
 _APART = (50.0, 10.0)
-"""Distance of the axis from all light of a laser, in that of this light from the camera, of a table that carries the
-scanner and of one that carries the object [1]."""
+"""Distance of the axis from all light of a laser, divided by the distance of this light from the camera: for a table
+that carries the scanner, and for one that carries the object [1]."""
 _BESIDE_M = 4.0
 """Distance of a laser's plane from the camera, from which it is doubtful: that is how large a rig is."""
 _OTHER_UNIT = "lengths of a calibration are metres, and these may be in centimetres"

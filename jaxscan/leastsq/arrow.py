@@ -145,7 +145,7 @@ def _inverse(information: Float[np.ndarray, "n n"]) -> Float[np.ndarray, "n n"]:
     if len(size) > _MANY:
         inverse = np.linalg.inv(scaled) * np.outer(size, size)
         return (inverse + inverse.T) / 2
-    # As the product of a matrix and its transpose it is symmetric to the last digit, however weak a direction is.
+    # The product of a matrix and its transpose is symmetric to the last digit, however weak a direction is.
     half = np.linalg.inv(np.linalg.cholesky(scaled)) * size[None, :]
     return half.T @ half
 

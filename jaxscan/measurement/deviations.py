@@ -28,7 +28,7 @@ class DeviationMap:
     deviation_m: np.ndarray
     """Mean distance of the cell's points from the plane, towards the scanner positive [rows, columns], m."""
     sigma_m: np.ndarray
-    """Its standard deviation by the noise of the points and by the fit of the plane [rows, columns], m."""
+    """Standard deviation of this distance, from noise of the points and fit of the plane [rows, columns], m."""
     points: np.ndarray
     seen: np.ndarray
     cell_m: float
@@ -48,7 +48,7 @@ def measure_deviations(
     """The deviations of a surface from its plane around a place.
 
     The plane is that of most points: what stands out or lies deeper does not shift it. The covariance of the
-    calibration is not part of sigma, because neighbouring points share what it does.
+    calibration is not part of sigma, because neighbouring points share its errors.
 
     Args:
         cloud: The cloud.
@@ -110,7 +110,7 @@ def measure_deviations(
 
 
 def _plane(patch: Samples, point: Point, radius_m: float, rng: np.random.Generator) -> Plane:
-    """The plane of most points: the smallest median distance among planes through three, and then all near it."""
+    """The plane of most points: the one through three points with the least median distance, fitted to all near it."""
     some = patch.p[spread_out(len(patch.p), VOTERS, rng)]
     a, b, c = np.moveaxis(some[rng.integers(len(some), size=(TRIES, 3))], 1, 0)
     normals = np.cross(b - a, c - a)

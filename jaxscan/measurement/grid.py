@@ -117,6 +117,6 @@ def rasterise(quads: Quads, places: np.ndarray, shape: tuple[int, int], depth: n
 
 
 def _places(corners: np.ndarray, sides: tuple[tuple[int, int], tuple[int, int]]) -> np.ndarray:
-    """At how many places along two of its sides each quad [n, 4, 2], px, is sampled [n]."""
+    """Number of places at which each quad [n, 4, 2], px, is sampled along two of its sides [n]."""
     longest = np.max([np.abs(corners[:, j] - corners[:, i]).max(1) for i, j in sides], axis=0)
     return np.minimum(2 ** np.ceil(np.log2(np.maximum(1.5 * longest, 1.0))), _FINEST).astype(int)

@@ -53,7 +53,7 @@ class Candidates(NamedTuple):
 
     @staticmethod
     def of(found: ChunkStripes, record: int, stripe_axis: StripeAxis) -> "Candidates":
-        """Those of one record of a chunk that was extracted with all candidates."""
+        """The candidates of one record, from a chunk that was extracted with all candidates."""
         chosen = np.asarray(found.chosen)
         stripes = found.stripes
         fields = [np.asarray(field) for field in (stripes.u, stripes.sigma, stripes.width, stripes.valid)]
@@ -135,7 +135,7 @@ def _count(taken: np.ndarray) -> int:
 
 
 def _nearest(distance: np.ndarray, number: np.ndarray, line: np.ndarray, tolerance: float, lines: int) -> np.ndarray:
-    """Of the candidates within the tolerance the nearest one on every line of the image."""
+    """The nearest of the candidates within the tolerance, on every line of the image."""
     taken = np.full(lines, -1, np.int8)
     # The nearest is written last.
     order = np.argsort(-distance, kind="stable")

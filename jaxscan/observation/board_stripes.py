@@ -37,8 +37,8 @@ from jaxscan.stripes import (
 
 
 LearnedFrames = dict[tuple[int, int, bool], tuple[NoiseModel, tuple[str, ...]]]
-"""Of each capture and laser, and of records with and without a laser-off frame: the noise of a frame, and signs that
-codes are no levels of a sensor, a sentence each."""
+"""For each capture and laser, and for records with and without a laser-off frame: the noise of a frame, and signs that
+its codes are not levels of a sensor, a sentence each."""
 BATCH_RECORDS = 8
 """Records per batch: enough for all cores, and small in memory."""
 _COLOUR_RECORDS = 8

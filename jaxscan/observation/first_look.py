@@ -20,7 +20,7 @@ from jaxscan.observation.stripes_on_board import MOST_POINTS, BoardStripe
 from jaxscan.stripes import LaserLine, level_exposures
 
 
-# Frames of so many bytes are kept for the second look; of larger captures they are read again.
+# Frames of up to so many bytes are kept for the second look; those of larger captures are read again.
 _KEPT_BYTES = 2**28
 # Records in which another board is looked for where the expected one is in none.
 _LOOKED_AT = 6
@@ -145,7 +145,7 @@ def look_at_boards(
 
 
 def _bytes_of(capture: BoardSource) -> int:
-    """Of all frames, decoded."""
+    """Bytes of all frames of a capture, decoded."""
     frame = int(np.prod(capture.image_size)) * (3 if capture.pixel_format == "rgb8" else 1)
     return 2 * len(capture.records) * frame * len(level_exposures(capture.bits))
 

@@ -13,8 +13,9 @@ from jaxscan.geometry.scanner import Up
 
 
 CONTRAST_CLASSES = 6
-"""Of stripe points: even print, a weak and a strong edge under the stripe; then the same three of points that were not
-fitted through the print, whose edges are told by the shift of the centre, and whose errors are of another kind."""
+"""Number of the contrast classes of stripe points: even print, a weak edge and a strong edge under the stripe; then the
+same three for points that were not fitted through the print. The edges under those show in the shift of the centre, and
+their errors are of another kind."""
 
 
 class BoardViews(eqx.Module):
@@ -48,8 +49,8 @@ class StripeViews(eqx.Module):
     """Row of `BoardViews` whose board the stripe lies on."""
     laser: Int[Array, " stripes"]
     contrast: Int[Array, "stripes points"] | None = None
-    """Contrast class of every point: 0 on even print, 1 at a weak edge, 2 at a strong one; 3 to 5 the
-    same of points that were not fitted through the print. None: all alike."""
+    """Contrast class of every point: 0 on even print, 1 at a weak edge, 2 at a strong one; 3 to 5
+    are the same classes for points that were not fitted through the print. None if all points are alike."""
 
 
 class Observations(eqx.Module):

@@ -119,7 +119,7 @@ def predict_corners(rig: SolvedRig, poses: np.ndarray) -> PredictedCorners:
     by = np.stack([np.einsum("vcij,vcj->vci", by_point, turn(poses[..., :3, :3], along)) for along in tangent], -2)
     (q, same), length = _seen(camera, p), np.linalg.norm(by, axis=-1)
     edges = by / np.maximum(length, 1e-12)[..., None]
-    # By second differences, a small part of a square to either side.
+    # Bends are second differences, over a small part of a square to either side.
     step = _BEND_SHARE * rig.board.square
     sides = [
         [camera.project(p + sign * step * turn(poses[..., :3, :3], along)) for sign in (1, -1)] for along in tangent

@@ -1,8 +1,8 @@
 """Colours of points from the laser-off images of a sweep: a streaming blend, one image after another.
 
-Colours of a point that agree are added up. There is room for a few that do not: a pixel at an edge that shows the
-other side of it founds a colour of its own, and the one with most weight is that of the point. So memory does not grow
-with the number of photographs, and what a few of them mistake does not bleed into it.
+Colours of a point that agree are added up. There is room for a few that disagree: a pixel at an edge may show the
+surface on the other side, and its colour is then kept apart. The colour with the most weight is that of the point. So
+memory does not grow with the number of photographs, and errors of a few of them do not bleed into the colour.
 """
 
 import functools
@@ -38,15 +38,15 @@ ROOM = 3
 
 
 class Tally(NamedTuple):
-    """Colours of points so far; the points come last, as they lie side by side for the compiler."""
+    """Colours of points so far. The points are the last axis, so that they lie side by side for the compiler."""
 
     total: Float[Array, "..."]
-    """Sum of the weighted observations of each [DN]."""
+    """Sum of the weighted observations of each colour [DN]."""
     weight: Float[Array, "..."]
 
     @staticmethod
     def start(rgb: UInt8[np.ndarray, "blocks 3 n"]) -> "Tally":
-        """One colour of each point already; zero for none."""
+        """A tally that already holds one colour of each point; zero for none."""
         blocks, _, count = rgb.shape
         total, weight = np.zeros((blocks, ROOM, 3, count), np.float32), np.zeros((blocks, ROOM, count), np.float32)
         weight[:, 0], total[:, 0] = np.any(rgb != 0, 1), rgb
@@ -56,10 +56,10 @@ class Tally(NamedTuple):
 def add(
     tally: Tally, colour: Float[Array, "3"], weight: Float[Array, ""], tolerance: float | Float[Array, ""]
 ) -> Tally:
-    """The tally of one point with one more observation of it [DN], of weight 0 for none; colours that differ by no more
-    than the tolerance [DN] are the same.
+    """The tally of one point after one more observation of it [DN], which has weight 0 if there is none. Colours that
+    differ by no more than the tolerance [DN] count as the same.
     """
-    # Slot by slot: of an index and a reduction over three of them XLA makes a loop for each of many points.
+    # Slot by slot: XLA would turn an index and a reduction over three slots into a loop for each of many points.
     total, known = jnp.asarray(tally.total), jnp.asarray(tally.weight)
     apart = []
     for slot in range(ROOM):
@@ -87,7 +87,7 @@ def conclude(tally: Tally, tolerance: float) -> UInt8[np.ndarray, "3 n"]:
     """The colour with most weight of every point; black where there is none.
 
     Others that differ from it by no more than twice the tolerance are mixed with it: fine print looks a little
-    different in each photograph, by where its pixels fall.
+    different in each photograph, depending on where its pixels fall.
     """
     total, weight = (np.asarray(field) for field in tally)
     mean = total / np.maximum(weight, 1e-9)[:, None]
@@ -156,13 +156,13 @@ class BlendSettings(NamedTuple):
     tolerance_dn: float = 20.0
     """Colours of a point that differ by more are not mixed."""
     bearing: float = np.inf
-    """Standard deviation [rad] of the weight by the angle about the axis between a point and the middle of the
-    photograph: few photographs for each point where their places are not known well."""
+    """Standard deviation [rad] of the weight over the angle about the axis between a point and the middle of the
+    photograph. A small one leaves few photographs for each point, if their places are not known well."""
     exposure: bool = True
 
     @property
     def weighting(self) -> float | None:
-        """The bearing, or None where it does not count."""
+        """`bearing`, or None where it is infinite and changes no weight."""
         return None if self.bearing == np.inf else self.bearing
 
 
@@ -198,17 +198,17 @@ def colour_points(
 ) -> tuple[UInt8[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]:
     """The colour of each point, blended of all photographs that show it.
 
-    Each photograph that may show a point is held once, and all points are looked up in it. It counts for a point by how
-    steeply, how near and how far from its border it shows it; not at all where something stands before the point or
-    beside it, where the surface is seen from behind or along itself, and where a pixel is saturated. Colours that
-    disagree are not mixed. Memory: about 100 bytes for each point.
+    Each photograph that may show a point is held once, and all points are looked up in it. Its weight for a point
+    depends on how steeply and from how near it shows the surface, and how far the point is from the image's border. The
+    weight is zero where something stands before the point or beside it, where the surface is seen from behind or along
+    itself, and where a pixel is saturated. Colours that disagree are not mixed. Memory: about 100 bytes for each point.
 
     Args:
         photographs: Laser-off images of a calibrated rig.
         points: Places in the scanner frame [m].
         normals: Normals of their surfaces, of any length, in the sense that is seen; zero where unknown.
-        occluder: The surfaces that may stand before points, and by whose colours exposures are equalised. Without,
-            everything in the image is seen.
+        occluder: The surfaces that may stand before points; exposures are equalised by their colours. Without it,
+            everything in the image counts as seen.
         start: Colours of the points that are known already, from one photograph each; zero for none.
         settings: How observations are blended.
 
@@ -286,8 +286,8 @@ def _gain(shot: _Shot, occluder: Occluder, size: int, tolerance: float) -> Float
     """Factor for each colour that takes a photograph to the exposure of the stripes around it.
 
     The stripes in a photograph are from photographs on both sides of it, so that errors do not add up along a turn.
-    They are looked up in blocks of a size, those of the points, by the program that looks up these: each other one
-    would be compiled.
+    They are looked up in blocks of the same size as those of the points, so that the compiled program that looks up
+    the points serves for both.
     """
     (points, rgb), room = occluder.references, AT_ONCE * size
     nothing, observed = Tally.start(np.zeros((AT_ONCE, 3, size), np.uint8)), []
@@ -319,15 +319,15 @@ def _weigh(
     (u, v), range_m, inside = seen = sight(view, point)
     cosine = jnp.where(dot(normal, normal) > 0, dot(normal, pose[:3, 3] - point) / range_m, UNKNOWN_FACING)
     # Whether something stands before the point, or so near its line of sight that their light could mix. A slanted
-    # surface is nearer beside the point: within two cells by so much.
+    # surface comes nearer beside the point, and so much nearer within two cells is allowed.
     facing = jnp.clip(cosine, 1 / STEEPEST_SEEN, 1.0)
     slope = jnp.sqrt(1 - facing * facing) / facing
     row, column = (jnp.floor((at + 0.5) / cell).astype(jnp.int32) + 1 for at in (v, u))
     # Places outside the image are looked up at its border, and do not count.
     before = jnp.asarray(distances.nearest).at[row, column].get(mode="clip")
     hidden = range_m * (1 - SKIN - 2 * cell * view.lens.per_pixel * slope) > before
-    # Resolution on the surface, in both directions of the image; next to that, the distance from the middle of the
-    # rig changes little.
+    # Resolution on the surface, in both directions of the image; compared with that, the distance from the middle of
+    # the rig changes little.
     away = jnp.minimum(jnp.sqrt(dot(point, point)) / jnp.maximum(range_m, 1e-3), 2.0)
     weight = jnp.minimum(cosine, 1.0) * away * away * jnp.minimum(_rise(u, camera.width), _rise(v, camera.height))
     if bearing is not None:
@@ -338,7 +338,7 @@ def _weigh(
 
 
 def _rise(place: Float[Array, ""], size: int) -> Float[Array, ""]:
-    """From 0 at both ends of an axis of the image to 1, smoothly."""
+    """A weight that rises smoothly from 0 at both ends of an axis of the image to 1."""
     t = jnp.clip(jnp.minimum(place, size - 1 - place) / (FEATHER * size), 0.0, 1.0)
     return t * t * (3.0 - 2.0 * t)
 
@@ -348,7 +348,8 @@ def _observe(
 ) -> tuple[Float[Array, "few 3 size"], Float[Array, "few size"]]:
     """Colours of points in a photograph as it shows them [DN], and their weights."""
     weigh = functools.partial(_weigh, shot.view, shot.distances, bearing)
-    # Kept between the steps: XLA would weigh a point again for each of its pixels, and read those for each result.
+    # Each step is computed once and kept: XLA would weigh a point again for each of its pixels, and read the pixels
+    # again for each result.
     some = shot.view.lens.per_pixel > 0
     q, weight = kept(some, _each(weigh), places)
     colour, brightest = kept(some, _each(functools.partial(read_image, shot.image)), q)
@@ -358,7 +359,7 @@ def _observe(
 
 
 def _each(function: Callable[..., Any]) -> Callable[..., Any]:
-    """For points that come last, as components that lie side by side are read together: [few, ..., size]."""
+    """The function of one point for arrays [few, ..., size]; points are the last axis, to read components in rows."""
     return jax.vmap(jax.vmap(function, -1, -1))
 
 
@@ -370,7 +371,7 @@ def _looked_up(
     tally: Tally,
     tolerance: float | Float[Array, ""],
 ) -> tuple[Tally, Float[Array, "few 3 size"], Float[Array, "few size"]]:
-    """The tally of points after a photograph, and their colours and weights in it alone."""
+    """The tally of points after a photograph, and their colours and weights in that photograph alone."""
     colour, weight = _observe(shot, bearing, places)
 
     def one(tally: Tally, colour: Float[Array, "3"], weight: Float[Array, ""]) -> Tally:

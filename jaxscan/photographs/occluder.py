@@ -20,17 +20,17 @@ AT_ONCE = 16
 
 @dataclass(frozen=True)
 class Blocks:
-    """An order of points, by which consecutive runs lie close together."""
+    """An order of points, cut into blocks whose points lie close together."""
 
     order: Int[np.ndarray, " padded"]
-    """Which point; the last one is repeated until the last block is full."""
+    """Number of the point at each place of the order; the last one is repeated until the last block is full."""
     size: int
     count: int
-    """Points, without repetitions."""
+    """Number of points, without repetitions."""
     centre: Float[np.ndarray, "blocks 3"]
     """Middle of each block [m]."""
     radius: Float[np.ndarray, " blocks"]
-    """Distance of its farthest point from there [m]."""
+    """Distance of the block's farthest point from its middle [m]."""
 
     @staticmethod
     def of(points: Float[np.ndarray, "n 3"], largest: int = LARGEST_BLOCK) -> "Blocks":
@@ -48,7 +48,7 @@ class Blocks:
         return np.ascontiguousarray(np.moveaxis(field[self.order].reshape(-1, self.size, field.shape[1]), 1, 2))
 
     def scatter(self, field: np.ndarray) -> np.ndarray:
-        """The way back of `gather`, in the order of the points."""
+        """The inverse of `gather`: a field in the order of the points."""
         flat = np.moveaxis(field, 1, 2).reshape(-1, field.shape[1])[: self.count]
         back = np.empty_like(flat)
         back[self.order[: self.count]] = flat
@@ -56,7 +56,7 @@ class Blocks:
 
     def seen_from(self, pose: Float[np.ndarray, "4 4"], bounds: Float[np.ndarray, "2 3"]) -> list[np.ndarray]:
         """Numbers of blocks that may reach into a view, `AT_ONCE` at a time; bounds are those of `Lens`. The last group
-        is padded by repetition, since each other size would be compiled.
+        is padded by repetition, since any other size would have to be compiled.
         """
         way = self.centre - pose[:3, 3]
         distance = np.maximum(np.linalg.norm(way, axis=-1), 1e-9)
@@ -70,7 +70,7 @@ class Blocks:
 
 
 def _along_curve(points: Float[np.ndarray, "n 3"]) -> UInt32[np.ndarray, " n"]:
-    """Numbers of the cells in which points lie, by the curve of Morton: the bits of the three places take turns."""
+    """Numbers of the cells in which points lie, along Morton's curve: the bits of the three coordinates take turns."""
     extent = max(float(np.ptp(points, axis=0).max()), 1e-9)
     cells = ((points - points.min(0)) * np.float32(1023 / extent)).astype(np.uint32)
     for shift, mask in ((16, 0xFF0000FF), (8, 0x0F00F00F), (4, 0xC30C30C3), (2, 0x49249249)):
@@ -84,10 +84,10 @@ REFERENCES = 1 << 13
 
 
 class Distances(NamedTuple):
-    """Distances of the nearest surface in one view, by square cells of so many pixels."""
+    """Distances of the nearest surface in one view, in square cells of `cell` pixels."""
 
     nearest: Float[np.ndarray, "rows columns"]
-    """[m]; inf where there is none. With a border of one cell."""
+    """Distance in each cell [m], inf where there is no surface; a border of one cell is around all."""
     cell: int
 
     @staticmethod
@@ -98,12 +98,12 @@ class Distances(NamedTuple):
 
 @dataclass(frozen=True)
 class Occluder:
-    """The surface of a room as photographs of it need it; made once for a cloud by `make_occluder`."""
+    """The surface of a room, ready to be looked up in photographs; made once for a cloud by `make_occluder`."""
 
     surface: tuple[Blocks, Float[np.ndarray, "blocks 3 size"]] | None
-    """Samples of the surface, block by block [m]; None where nothing is known to stand anywhere."""
+    """Samples of the surface, block by block [m]; None where no surface is known."""
     references: tuple[Float[np.ndarray, "references 3"], Float[np.ndarray, "references 3"]]
-    """Points all over the room, and their usual colours: by these, exposures are equalised."""
+    """Points all over the room, and their usual colours, from which exposures are equalised."""
     cell: int
     shape: tuple[int, int]
     """Rows and columns of cells, with a border of one."""
@@ -167,7 +167,7 @@ def _first_cells(
 
 
 def _spread(nearest: Float[np.ndarray, "rows columns"]) -> Float[np.ndarray, "rows columns"]:
-    """Every sample in its own cell and in the next ones to the right and below."""
+    """Enter every sample in its own cell and in the next ones to the right and below."""
     for target, source in ((nearest[1:], nearest[:-1]), (nearest[:, 1:], nearest[:, :-1])):
         np.minimum(target, source.copy(), out=target)
     return nearest

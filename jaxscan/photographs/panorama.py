@@ -18,14 +18,14 @@ from jaxscan.reconstruction import PointCloud
 Projection = Literal["equirectangular", "cylinder"]
 STEEPEST_CYLINDER = np.radians(75.0)
 NARROW = np.radians(8.0)
-"""Standard deviation of the weight by the angle between a photograph's middle and a place of the picture [rad], if
+"""Standard deviation of the weight over the angle between a photograph's middle and a place of the picture [rad], if
 depths are known."""
 LEAST_FACING = 0.2
 
 
 @dataclass(frozen=True)
 class PanoramaFrame:
-    """Which ray each pixel of a panorama is: the scanner's x axis in its middle, its z axis up.
+    """The ray of each pixel of a panorama: the scanner's x axis is in the middle, and its z axis points up.
 
     Azimuth falls from left to right, as for someone who looks outward; a whole turn is as wide as the picture.
     """
@@ -85,8 +85,8 @@ def panorama_frame(
     """
     if scanner.turntable.carries != "scanner":
         raise CalibrationError(
-            "a panorama needs a camera that turns, and that of this calibration "
-            f"does not (it carries: {scanner.turntable.carries})."
+            "a panorama needs a camera that turns, and the camera of this calibration "
+            f"does not (carries: {scanner.turntable.carries})."
         )
     if width is None:
         width = 2 * round(np.pi / float(Lens.of(scanner.camera).per_pixel))
@@ -163,7 +163,7 @@ def draw_distances(
 
 
 def _mean(bearing: float) -> BlendSettings:
-    """A plain mean: without known parallax colours that disagree are mixed, to avoid visible seams."""
+    """A plain mean: where parallax is not known, colours that disagree are mixed, to avoid visible seams."""
     return BlendSettings(tolerance_dn=256.0, bearing=bearing)
 
 

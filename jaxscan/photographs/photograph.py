@@ -116,7 +116,7 @@ def border_rays(camera: AbstractCamera) -> Float[np.ndarray, "n 3"]:
 
 
 def dot(a: Float[Array, "3"], b: Float[Array, "3"]) -> Float[Array, ""]:
-    """Written out: of a contraction over three components XLA makes a loop for each of many points."""
+    """The scalar product, written out: XLA would turn a contraction of three components into a loop for each point."""
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
@@ -151,7 +151,7 @@ class Album(Protocol):
     def __iter__(self) -> Iterator[Photograph]: ...
 
     def where(self, wanted: Callable[[float], bool]) -> Iterator[Photograph]:
-        """Those whose angle [rad or m] is wanted; the others are not read."""
+        """The photographs whose angle [rad or m] is wanted; the others are not read."""
         ...
 
 
@@ -161,8 +161,8 @@ class Photographs:
 
     Args:
         scanner: The calibrated rig.
-        shots: The photographs; iterated once by every function that looks at them. Of an `Album`, those are left out
-            that show nothing of what is asked for.
+        shots: The photographs; iterated once by every function that looks at them. An `Album` leaves out
+            those that do not show what is wanted.
     """
 
     scanner: Scanner

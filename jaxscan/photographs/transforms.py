@@ -1,6 +1,6 @@
-"""Poses of photographs as programs for neural scenes and structure from motion read them: `transforms.json`.
+"""Poses of photographs for programs of neural scenes and structure from motion, which read `transforms.json`.
 
-Axes of the camera are OpenGL's there: x right, y up, z backward. The centre of the first pixel is (0.5, 0.5).
+The camera has the axes of OpenGL there: x right, y up, z backward. The centre of the first pixel is (0.5, 0.5).
 """
 
 from collections.abc import Sequence
@@ -17,7 +17,7 @@ from jaxscan.photographs.photograph import packed, poses, read_image
 
 
 OPENGL_FROM_OPENCV = np.diag([1.0, -1.0, -1.0, 1.0])
-"""Turn x right, y down, z forward; it is its own inverse."""
+"""Turns these axes into x right, y down, z forward; it is its own inverse."""
 WIDEST_PINHOLE = np.radians(70.0)
 """Half of the widest field of view that an undistorted image has."""
 
@@ -66,7 +66,7 @@ def _intrinsics(camera: AbstractCamera) -> dict[str, Any]:
 
 
 def ideal_camera(camera: AbstractCamera) -> Pinhole:
-    """A camera without distortion, with square pixels, that shows what `camera` shows in the middle, as large."""
+    """A camera without distortion, with square pixels, that shows the middle of `camera`'s image at the same size."""
     focal = float(min(camera.fx, camera.fy))
     # Beyond this a wide lens would be stretched without limit.
     most = focal * float(np.tan(WIDEST_PINHOLE))

@@ -34,7 +34,7 @@ class Found(NamedTuple):
     """A capture that lies in the folder."""
 
     path: Path
-    """From the folder."""
+    """Path relative to the folder."""
     header: CaptureHeader
 
 
@@ -248,7 +248,7 @@ def _name(folder: Path) -> str:
 
 
 def _quoted(text: str) -> str:
-    """A string as TOML has it: JSON's are the same, but for letters beyond 16 bits and the one that deletes.
+    """A string in the syntax of TOML. JSON's is the same, except for letters beyond 16 bits and the delete character.
 
     Raises:
         ConfigError: If it is the name of a file that is no text.

@@ -28,7 +28,7 @@ class Output(NamedTuple):
     """A file that a step wrote."""
 
     path: str
-    """In the folder of the products."""
+    """Path in the folder of the products."""
     size: int
     sha256: str
 
@@ -43,7 +43,7 @@ class Row(NamedTuple):
     message: str
     """The line that says why it failed; notes of one that is done."""
     parts: Mapping[str, str]
-    """As `parts_of` gives them."""
+    """The result of `parts_of`."""
     outputs: tuple[Output, ...]
     started_s: float
     """Seconds since 1970."""

@@ -18,7 +18,7 @@ from jaxscan.project.work import MEASURES_FORMAT
 
 
 MOVED_SIGMAS = 3.0
-"""Two epochs: a length has changed if it differs by so many standard deviations of the difference."""
+"""Two epochs: a length has changed if it differs by this many standard deviations of the difference."""
 MOVED_SHARE = 0.1
 """One capture, two versions: the same points give the same length, so this part of its noise is a change already."""
 _LEAST_M = 1e-6

@@ -124,7 +124,7 @@ class Project:
     file: Path
     wanted: ProjectFile
     captures: tuple[ProjectCapture, ...]
-    """In the order of their names."""
+    """The captures, in the order of their names."""
     notes: tuple[str, ...] = ()
     """Sentences on products that are left out."""
 

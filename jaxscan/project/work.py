@@ -61,7 +61,7 @@ class StepWorkspace:
         """A capture. Its stripes are kept among the products: nothing is written into its own folder."""
         kept = self.output / "stripes"
         _make(self.output, kept)
-        # By the name in the project: folders of two captures may be called alike.
+        # Named as in the project: the folders of two captures may have the same name.
         place = -1 if self.step.kind == "station" else 1
         name = role.removeprefix("capture ") if role.startswith("capture ") else self.step.key.split("/")[place]
         capture = open_capture(self.step.sources[role]).keeping(kept / f"{name}.npz")

@@ -193,7 +193,7 @@ PROFILES, LINES = 240, 30
 FLOOR = 1e-4
 """Standard deviation of a point from its wall, beside noise, as a part of its range."""
 HARMONICS = 3
-"""Errors of the table that repeat up to so many times per turn are no lost steps."""
+"""Errors of the table that repeat up to this many times per turn are no lost steps."""
 STEP_SPREAD = 0.1
 """How large a lost step may be [rad]."""
 GAIN, WAVES = 1e-3, 7e-4
@@ -245,7 +245,7 @@ class Sample(NamedTuple):
 
 
 def take_sample(sweep: SweepStripes, scanner: Scanner, profiles: int, points: int) -> Sample:
-    """Points of so many profiles at most, on as many lines as that leaves."""
+    """Points of at most this many profiles, on as many lines as the number of points then allows."""
     kept = spread_over(np.arange(len(sweep.valid)), profiles)
     return _sample(sweep, scanner, kept, int(np.clip(points // max(len(kept), 1), 8, LINES)))
 
@@ -404,7 +404,7 @@ FULL_STEPS = {
 STEP_TOLERANCE, STEP_SIGMAS = 0.05, 2.5
 # Distance of records up to which steps are sought [rad]: between farther ones furniture looks like a lost step.
 COARSEST = np.deg2rad(1.75)
-# Standard deviations of a sum of steps, of which each is many, up to which they undo each other.
+# Steps undo each other if their sum is within so many standard deviations, though each step is many of them.
 UNDONE = 3.0
 
 
@@ -491,7 +491,7 @@ LEAST_Z = 7.0
 PLACED = (4, 3, 3)
 """Steps of least squares before the record of a step is sought once more, until it stays."""
 LEAST_GAIN = 0.3
-"""By how much a large step lowers the truncated cost, for each point [1]."""
+"""Least amount by which a large step lowers the truncated cost, for each point [1]."""
 LEAST_STEP = np.deg2rad(0.02)
 """Smaller steps are no full step of any usual table."""
 MOST_STEP = np.deg2rad(10.0)
@@ -676,7 +676,7 @@ MANY_LINES = 120
 WALL_PROFILES, WALL_POINTS = 720, 12_000
 """Numbers of profiles and points with which walls are found."""
 UNSURE = 9.0
-"""A record is possible whose squared errors in sigmas exceed those of the best by so much."""
+"""A record is still possible if its squared errors in sigmas exceed those of the best by no more than this."""
 
 
 def _place_step(sweep: SweepStripes, rig: Rig, number: int) -> tuple[int, int, int]:

@@ -166,7 +166,7 @@ class RoomObservations(NamedTuple):
         return np.concatenate(self.turned(corrections))[ends[points.sweep] + points.record]
 
     def only(self, numbers: Sequence[int]) -> "RoomObservations":
-        """Those of some surfaces, which are numbered anew; known lengths need both their ends."""
+        """The observations of some surfaces, which get new numbers; known lengths stay only if both their ends do."""
         new = np.full(len(self.surfaces.distance), -1, np.int32)
         new[list(numbers)] = np.arange(len(numbers), dtype=np.int32)
         lengths = [

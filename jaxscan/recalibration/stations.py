@@ -426,7 +426,7 @@ LEAST_SHARE = 0.12
 MOST_DENIED = 0.12
 """Largest share of compared cells that one station fills and the other looked through: things that were moved."""
 DENIED = 30
-"""A pose is worse than another if so many more cells contradict it, and half as many again."""
+"""A pose is worse than another if at least this many more cells contradict it, and half as many again."""
 COARSER = 3.0
 """A place is worse than another if its walls agree so much worse [1]."""
 FINE_M = 0.002

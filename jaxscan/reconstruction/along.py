@@ -35,7 +35,7 @@ class SmoothedSweep(NamedTuple):
     """Standard deviation of the row's own centre [px], as the scatter of the rows has it; where next rows are alike it
     is so much larger that an average computed as of independent rows is as good as stated."""
     shared_lines: Float[np.ndarray, "profiles lines"]
-    """As of `Smoothed`."""
+    """See `Smoothed`."""
 
 
 def smooth_sweep(stripes: Stripes, sites: Mapping[int, Sites] = _ALL_LINES, progress: Progress = None) -> SmoothedSweep:

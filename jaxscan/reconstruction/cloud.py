@@ -56,7 +56,8 @@ class Stations(NamedTuple):
     pose: Float[Array, "stations 4 4"]
     """T_room_scanner of each station [m]."""
     covariance: Float[Array, "stations 6 6"]
-    """Of a step (translation [m], rotation [rad]) in the station's own frame; zero for the station that is the room."""
+    """Covariance of a step (translation [m], rotation [rad]) in the station's own frame; zero for the station that is
+    the room."""
 
 
 class PointCloud(eqx.Module):
@@ -93,8 +94,8 @@ class PointCloud(eqx.Module):
     stations: Stations | None = None
     """Where each profile was taken from; None for the cloud of one station, which is in its scanner frame."""
     absent: tuple[str, ...] | None = eqx.field(static=True, default=None)
-    """Of `MAY_LACK` what the cloud's file did not have: zero here, and not known. It is not written either. None where
-    all is there, as in every cloud of `reconstruct`."""
+    """Fields of `MAY_LACK` that the cloud's file did not have. They are zero here, not known, and not written. None
+    where all are there, as in every cloud of `reconstruct`."""
 
     @property
     def lacks(self) -> tuple[str, ...]:

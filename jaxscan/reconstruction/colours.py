@@ -56,7 +56,7 @@ def sample_colours(
         frames: [frames, rows, columns] or, for rgb8, [frames, rows, columns, 3].
         which: Number of the frame of each position.
         q: Positions (u, v) [px]; outside the frame its edge is taken.
-        pixel_format: How a frame is to be read. Of a Bayer frame every colour is interpolated among its own sites
+        pixel_format: How a frame is to be read. In a Bayer frame every colour is interpolated among its own sites
             only.
 
     Returns:

@@ -1,8 +1,8 @@
 """Doubts about a sweep, a sentence each: contradictions within it, found by statistics of the sweep itself.
 
-Of its journal (numbers, angles), of its frames (`Seen`: one that comes twice, on and off exchanged, one that does not
-continue its neighbours), of their motion, of its points, of its header, and of its pairs (laser light in the laser-off
-image, motion between both).
+They concern its journal (numbers, angles), its frames (`Seen`: one comes twice, on and off are exchanged, one does not
+continue its neighbours), their motion, its points, its header, and its pairs (laser light in the laser-off image,
+motion between both).
 """
 
 from collections.abc import Callable, Iterable, Sequence
@@ -445,7 +445,7 @@ def profile_doubts(cloud: PointCloud, numbers: np.ndarray) -> list[str]:
     record, laser = np.asarray(cloud.record), np.asarray(cloud.laser)
     for one in np.unique(laser):
         own = np.flatnonzero(laser == one)
-        # Of several candidates in a record, the first.
+        # If a record has several candidates, the first is taken.
         own = own[np.unique(record[own], return_index=True)[1]]
         if len(own) < _FEW_PROFILES:
             continue

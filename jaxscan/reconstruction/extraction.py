@@ -150,20 +150,20 @@ class Learned:
 
     plan: Plan
     lasers: tuple[LaserLine, ...]
-    """With their colours."""
+    """The lasers, with their colours."""
     engines: dict[int, StripeEngine]
-    """Of each laser of the sweep."""
+    """The engine of each laser of the sweep."""
     dark: Dark
     """Where the laser-off frames come from."""
     chosen: bool = False
-    """Whether these are others than the usual ones."""
+    """Whether these engines differ from the usual ones."""
     taught: frozenset[int] = frozenset()
     """Lasers whose width and speckle are known."""
     of_frame: LearnedNoise | None = None
     """Noise of a frame, where it was not given."""
     notes: tuple[str, ...] = ()
     noise: str = ""
-    """As of `Extraction`."""
+    """See `Extraction`."""
 
     @property
     def compiles(self) -> bool:
@@ -175,7 +175,7 @@ class Learned:
         return next(iter(self.engines.values())).profiles_per_record
 
     def taught_by(self, batch: Batch) -> "Learned":
-        """With width and speckle of the batch's laser, if this is its first one."""
+        """What is known after a batch: its laser's width and speckle too, if this is the first batch of that laser."""
         laser = batch.laser
         if laser in self.taught:
             return self
@@ -395,7 +395,7 @@ def _replayed(ahead: list[FrameChunk], coming: Iterator[FrameChunk]) -> Iterator
 
 
 def _check_apart(gates: Sequence[LineGate]) -> None:
-    """Lasers that are lit together are told apart by where they can be seen, and only so."""
+    """Lasers that are lit together are told apart only by where they can be seen."""
     for i, one in enumerate(gates):
         for other in gates[i + 1 :]:
             shared = np.minimum(one.high, other.high) - np.maximum(one.low, other.low)

@@ -62,7 +62,7 @@ class Chance:
     least: float = 0.0
     """Smallest clearness (`clearness`) of a stripe that is accepted; 0 for all."""
     measure: int = 0
-    """Which of the three."""
+    """Which of the three measures of clearness is used."""
     note: str | None = None
     """A sentence for the user."""
 
@@ -176,7 +176,7 @@ class Decoys(NamedTuple):
 
     @staticmethod
     def joined(parts: "list[Decoys]") -> "Decoys":
-        """Those of all parts of a sweep."""
+        """The decoys of all parts of a sweep."""
         together = Decoys(*(np.concatenate(fields) for fields in zip(*parts, strict=True)))
         order = np.argsort(together.profile)
         return Decoys(*(field[order] for field in together))
@@ -254,7 +254,7 @@ class _Contest(NamedTuple):
     stripes: Float[np.ndarray, " n"]
     """Clearness of the stripes, rising."""
     decoys: Float[np.ndarray, " m"]
-    """That of the decoys."""
+    """Clearness of the decoys."""
     rate: float
     """Stripes of chance for each decoy [1]."""
 

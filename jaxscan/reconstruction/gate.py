@@ -87,7 +87,7 @@ def _nodes(first: float, last: float) -> Float[np.ndarray, " nodes"]:
 def _cells(
     x: Float[np.ndarray, " n"], nodes: Float[np.ndarray, " m"]
 ) -> tuple[Int[np.ndarray, " n"], Float[np.ndarray, " n"]]:
-    """In which cell of evenly spaced nodes each coordinate lies, and how far from its start."""
+    """The cell of evenly spaced nodes in which each coordinate lies, and how far it is from the start of that cell."""
     position = (x - nodes[0]) / (nodes[1] - nodes[0]) if nodes[1] > nodes[0] else np.zeros_like(x)
     index = np.clip(np.floor(position).astype(int), 0, len(nodes) - 2)
     return index, position - index

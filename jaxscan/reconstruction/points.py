@@ -132,12 +132,12 @@ class Aim(NamedTuple):
     rig: Rig
     table: RangeTable
     laser: Int[Array, ""]
-    """Which sheet."""
+    """Number of the laser whose sheet is meant."""
     limits: Limits
 
     @staticmethod
     def of(scanner: Scanner, settings: ReconstructSettings, stripe_axis: StripeAxis) -> "Aim":
-        """That of the first laser, float32."""
+        """The aim of the first laser, float32."""
         limits = Limits(*map(np.asarray, (settings.min_range_m, settings.max_range_m, settings.min_incidence)))
         parts = Aim(scanner.rig, range_table(scanner, stripe_axis), np.zeros((), np.int32), limits)
         # Host arrays: the same whether or not the caller enabled 64-bit JAX.

@@ -107,7 +107,7 @@ class FrameWatch:
         dark = self._sample(off)
         seen.prints[record, 1], seen.level[record, 1], seen.grain[record, 1] = _texture(dark)
         difference = lit.astype(np.int16) - dark
-        # Whole numbers: their counts tell all of them that is asked for.
+        # The values are whole numbers, so their counts suffice for what is wanted.
         counts = _counted(difference.reshape(_BLOCKS, -1))
         whole = counts.sum(0)
         sizes = whole[_MOST_DN:] + np.pad(whole[:_MOST_DN][::-1], (1, 0))

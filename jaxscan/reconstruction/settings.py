@@ -11,7 +11,7 @@ Smooth = Literal["off", "edge"]
 
 @dataclass(frozen=True)
 class ReconstructSettings:
-    """Of these, how stripes are found and whether steps are checked is static: a change recompiles."""
+    """Settings of a reconstruction. A change of how stripes are found or of whether steps are checked recompiles."""
 
     stripes: StripeSettings = field(default_factory=StripeSettings)
     """How stripes are found in the frames."""

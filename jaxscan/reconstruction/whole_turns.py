@@ -109,7 +109,7 @@ def _alike(seen: _Compared, lag: int) -> bool:
 def _compared(cloud: PointCloud, scanner: Scanner, trace: np.ndarray) -> _Compared | None:
     laser, record = np.asarray(cloud.laser), np.asarray(cloud.record)
     own = np.flatnonzero(laser == np.bincount(laser).argmax()) if len(laser) else np.zeros(0, int)
-    # Of several candidates of a record the first is the brightest.
+    # If a record has several candidates, the first is the brightest.
     own = own[np.unique(record[own], return_index=True)[1]]
     if len(own) < _LEAST:
         return None

@@ -1,11 +1,11 @@
-"""Where the laser-off frames of a sweep come from: they are given, one picture for all is, or they are predicted.
+"""Where the laser-off frames of a sweep come from: they are given, one picture is given for all, or they are predicted.
 
 A frame is predicted from itself, and, where the camera turns with the table, from what neighbouring steps show. A point
-of the room at one of a few distances is seen at known places of two other steps, whose stripes are elsewhere. Of the
-distances each place takes the one at which both agree with each other and with the frame; that is a plane sweep
+of the room at one of a few distances is seen at known places of two other steps, whose stripes are elsewhere. Each
+place takes the distance at which both agree with each other and with the frame; that is a plane sweep
 (R. T. Collins, A space-sweep approach to true multi-image matching, CVPR 1996).
 
-Where there is a choice, the first frames decide by which of them lines are straightest.
+Where there is a choice, the first frames decide which of these ways makes lines straightest.
 """
 
 import dataclasses
@@ -49,7 +49,7 @@ class Dark(NamedTuple):
     """Laser-off frames of one source."""
 
     source: Literal["given", "predicted", "alone", "even"]
-    """As the sweep has them; predicted by all channels; every channel by itself alone; or one colour everywhere."""
+    """Given by the sweep; predicted by all channels; each channel predicted by itself; or one colour everywhere."""
     room: UInt8[np.ndarray, "..."] | None = None
     """The frame, where it is of one colour."""
 
@@ -185,7 +185,7 @@ def _neighbours(plan: Plan, record: int, frames: dict[int, np.ndarray]) -> list[
     before, after = [k for k in near if k < record][::-1], [k for k in near if k > record]
     if before and after:
         return [before[0], after[0]]
-    # At an end of the sweep two on one side, of which again only one has a stripe at any place.
+    # At an end of the sweep, take two on one side, such that again only one has a stripe at any place.
     one = before or after
     return next(([one[0], k] for k in one[1:] if abs(motion[k] - motion[one[0]]) >= _APART_PX), [])
 
@@ -201,7 +201,7 @@ class Lattice(NamedTuple):
 
     @staticmethod
     def of(shape: tuple[int, int], sites: Sites) -> "Lattice":
-        """That of a plane [lines, samples]."""
+        """The lattice of a plane [lines, samples]."""
         line, sample = (_NODES_PX * np.arange(-(-size // _NODES_PX) + 1.0) for size in shape)
         return Lattice(sites.first_line + sites.line_step * line, sites.offsets[0] + sites.pitch * sample, sites)
 

@@ -331,7 +331,7 @@ def _views(calibration: Calibration, photographs: Mapping[int, bytes]) -> Html |
 
 
 def drawn_records(calibration: Calibration) -> list[int]:
-    """Records whose views are drawn, worst first; of a number that several captures have, none."""
+    """Records whose views are drawn, worst first; without records whose number several captures have."""
     records = [view.quality.record for view in _drawn_views(calibration)]
     every = [view.record for view in calibration.quality.per_view]
     return [record for record in records if every.count(record) == 1]

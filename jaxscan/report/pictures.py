@@ -10,7 +10,7 @@ from jaxscan.report.drawing import GREEN, INK, LINE, ORANGE, ROUND, SERIES, SOFT
 
 
 ROBUST = 5.0
-"""The colour scale ends at so many robust standard deviations: what lies farther is not the surface's own scatter."""
+"""The colour scale ends at this many robust standard deviations: what lies farther is not the surface's own scatter."""
 
 
 def deviation_reach(found: DeviationMap) -> float:

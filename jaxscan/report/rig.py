@@ -14,7 +14,7 @@ if TYPE_CHECKING:
 
 _UP = {"-v": (0.0, -1.0, 0.0), "+v": (0.0, 1.0, 0.0), "+u": (1.0, 0.0, 0.0), "-u": (-1.0, 0.0, 0.0)}
 _ASIDE, _ABOVE = np.radians(np.arange(-80.0, 81.0, 10.0)), np.radians(24.0)
-"""From where the rig may be looked at: so far round from behind, so far up."""
+"""Views from which the rig may be drawn: how far round from behind, and how far up."""
 
 
 def sheet_slopes_deg(scanner: Scanner) -> list[tuple[str, float]]:
@@ -89,7 +89,7 @@ class _Canvas:
     """Draws places of the camera frame [m] as millimetres of a picture."""
 
     def __init__(self, up: np.ndarray, ahead: np.ndarray, right: np.ndarray, lengths: np.ndarray) -> None:
-        """Up, horizontally ahead and across are unit vectors; of the lengths [n, 3] none is seen from its end."""
+        """Up, horizontally ahead and across are unit vectors; none of the lengths [n, 3] is seen from its end."""
 
         def onto(aside: float) -> np.ndarray:
             level = np.cos(aside) * right + np.sin(aside) * ahead
@@ -127,7 +127,7 @@ class _Canvas:
         self.axes.text(*self.at(place), text, color=colour, parse_math=False, **style)
 
     def finished(self, size: float) -> "Figure":
-        """With a scale."""
+        """The finished figure, with a scale."""
         length = max(step for step in ROUND if step <= 0.5 * size)
         low, high = np.array(self.axes.get_xlim()), np.array(self.axes.get_ylim())
         y, x = high[0] - 0.04 * np.ptp(high), low[0]

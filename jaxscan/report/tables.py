@@ -32,7 +32,7 @@ class Parameter(NamedTuple):
         return label, _digits(self.value, self.sigma), _significant(self.sigma) if self.sigma > 0 else "held"
 
     def as_json(self) -> dict[str, Any]:
-        """As JSON, with the units in the keys; the sigma of a direction is an angle."""
+        """The row as JSON, with the units in the keys; the sigma of a direction is an angle."""
         value = self.value[0] if len(self.value) == 1 else list(self.value)
         if self.unit == "direction":
             return {"name": self.name, "direction": value, "sigma_mrad": self.sigma}

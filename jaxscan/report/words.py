@@ -66,7 +66,7 @@ _BETTER = {
 _BETTER_BY_SWEEPS = dict.fromkeys(("angles", "axis"), "more sweeps") | dict.fromkeys(
     ("sheet", "camera"), "a length in the room that is known (`--known`), or more boards"
 )
-"""The same of a calibration that sweeps have refined already."""
+"""The same advice for a calibration that sweeps have already refined."""
 # The squares of smaller parts add less than a thousandth.
 _LEAST_PART = 0.03
 
@@ -323,7 +323,7 @@ def _promise(ratio: float, source: str) -> str:
 
 
 def board_lines(calibration: Calibration) -> list[str]:
-    """In how many records the board was found, and the others by their likely reasons."""
+    """How many records show the board, and the likely reasons why the others do not."""
     of = calibration.quality
     if not of.records:
         return []

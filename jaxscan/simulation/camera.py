@@ -349,8 +349,8 @@ def _splat(
     weights_u: np.ndarray,
     shape: tuple[int, int],
 ) -> np.ndarray:
-    """As `splat`, of light [pixels, samples_v, samples_u]: spread along u for each listed pixel, then along v as whole
-    images, over the lit rows and columns only.
+    """Like `splat`, for light [pixels, samples_v, samples_u]: spread along u for each listed pixel, then along v as
+    whole images, over the lit rows and columns only.
     """
     reach_v, reach_u = len(weights_v) // 2, len(weights_u) // 2
     top, left = int(rows.min()), int(columns.min())

@@ -115,7 +115,7 @@ class Plane(NamedTuple):
     def _light(
         self, rays: Rays, depth: np.ndarray, place: tuple[np.ndarray, np.ndarray], share: np.ndarray | None
     ) -> np.ndarray | np.float32:
-        """As `Scene.light`."""
+        """See `Scene.light`."""
         f, scene, height = np.float32, self.scene, self._height()
         sky = f(0.66) + f(0.05) * f(self.normal[2])
         if height <= 0:

@@ -43,7 +43,7 @@ def other_channels(on: Array, off: Array | None, setup: ExtractionSetup, gate: L
     """
     if off is None or setup.frames.pixel_format == "mono8":
         return []
-    # Of a mosaic the samples of one tile are compared.
+    # In a mosaic the samples of one tile are compared.
     lit, room = (_tiles(np.asarray(frames), setup) for frames in (on, off))
     own, top = _COLOURS.index(str(setup.line.colour)), setup.settings.saturation
     scale = max(setup.image_lines // lit.shape[1], 1)

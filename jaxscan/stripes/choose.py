@@ -1,4 +1,4 @@
-r"""Which candidate of each line is the stripe.
+r"""The choice of the candidate that is the stripe, on each line.
 
 By default that on the best path over the lines of a frame: a stripe goes on from line to line; a reflection rarely
 does. On every line the path takes one candidate or none. A candidate adds to the score of the path
@@ -224,7 +224,7 @@ def pick_by_steps(
 
 
 def _taken(field: np.ndarray, chosen: np.ndarray) -> np.ndarray:
-    """Of a field [profiles * K, lines, ...] the entries of the chosen candidates; zero where there is none."""
+    """The entries of a field [profiles * K, lines, ...] for the chosen candidates; zero where there is none."""
     rest = (1,) * (field.ndim - 2)
     number = np.maximum(chosen, 0).astype(np.intp).reshape(len(chosen), 1, -1, *rest)
     taken = np.take_along_axis(field.reshape(len(chosen), -1, *field.shape[1:]), number, 1)[:, 0]

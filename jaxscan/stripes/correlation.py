@@ -39,10 +39,10 @@ _Count = TypeVar("_Count", int, Array)
 
 
 class Correlation(NamedTuple):
-    """Of the errors of the rows of one profile. Hashable."""
+    """Correlation of the errors of the rows of one profile. Hashable."""
 
     near: tuple[float, ...] = ()
-    """Of what noise does to a row and to the k-th next one, for k = 1 on; 0 beyond [1]."""
+    """Correlation of the noise of a row and of the k-th next one, from k = 1 on; 0 beyond [1]."""
     blocks: float = 0.0
     """Part of the variance that depends on where the stripe lies in the blocks of a compression, whose error is as
     large as noise is [1]: rows of an upright stripe share it, those of a steep one do not. That by a mosaic is
@@ -51,12 +51,12 @@ class Correlation(NamedTuple):
     """Standard deviation by where the stripe lies on a mosaic, however bright it is [px]: shared as well."""
 
     def by_light(self, lag: np.ndarray, slope: float) -> np.ndarray:
-        """Of what is less in brighter rows so far apart, of a stripe of such a slope [px/line]."""
+        """Correlation of the errors that are smaller in brighter rows, for a lag in rows and a slope [px/line]."""
         near = np.array([1.0, *self.near, 0.0])
         return (1.0 - self.blocks) * near[np.minimum(lag, len(near) - 1)] + self.blocks * alike_in_blocks(lag * slope)
 
     def by_mosaic(self, lag: np.ndarray, slope: float) -> np.ndarray:
-        """Of errors by a mosaic, over their variance in an upright stripe."""
+        """Covariance of the errors by a mosaic, over their variance in an upright stripe."""
         return alike_on_mosaic(lag, slope, self.near)
 
 
@@ -64,11 +64,11 @@ INDEPENDENT = Correlation()
 _BLOCK_PX = 0.5
 """Way of a stripe over which an error by compression stays alike, as a standard deviation."""
 _LEAST_LEFT = 0.02
-"""Of the variance by a mosaic, where demosaicing takes most of it away [1]."""
+"""Least part of the variance by a mosaic that is left where demosaicing takes most of it away [1]."""
 
 
 def alike_in_blocks(moved_px: np.ndarray) -> np.ndarray:
-    """Correlation of errors by compression, of stripes so far apart."""
+    """Correlation of the errors by compression of stripes that are `moved_px` apart."""
     return np.exp(-0.5 * (moved_px / _BLOCK_PX) ** 2)
 
 
@@ -123,7 +123,7 @@ def _tables(covariance: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]
     fits, weights, before = _windows()
     shape = (len(SIZES), (REACH + 1) ** 2)
     quadratic = lambda h: np.einsum("...i,ij,...j->...", h, covariance, h)
-    # Of equal weights h it is the same as before.
+    # For equal weights h it is the same as before.
     ratio = lambda h: np.where((h**2).sum(-1) > _ALIKE_ENOUGH, quadratic(h) / np.maximum((h**2).sum(-1), 1e-30), 1.0)
     size = fits.projections.shape[1]
     product = fits.projections @ covariance[:size, :size]

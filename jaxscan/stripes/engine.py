@@ -68,7 +68,7 @@ class ChunkStripes(NamedTuple):
 
     stripes: FrameStripes
     chosen: Int8[Array, "records lines"] | None
-    """Of several candidates of every line the number of the stripe, -1 for none; None where one is given."""
+    """Which of several candidates of every line is the stripe, -1 for none; None where there is one candidate alone."""
 
 
 class StripeEngine(eqx.Module):
@@ -191,7 +191,7 @@ class StripeEngine(eqx.Module):
         return jax.tree.map(lambda field: field[: len(field) // room * count], found)
 
     def extract_shared(self, on: Array, off: Array | None, records: int = 0) -> ChunkStripes:
-        """As `extract`, with the records shared by a CPU's cores: for a caller who has nothing else for them to do."""
+        """Like `extract`, but divides the records among a CPU's cores, for a caller that has no other work for them."""
         cores = min(os.cpu_count() or 1, len(on)) if jax.default_backend() == "cpu" else 1
         ends = np.linspace(0, len(on), cores + 1).astype(int).tolist()
         parts = [np.s_[a:b] for a, b in itertools.pairwise(ends)]
@@ -209,7 +209,7 @@ class StripeEngine(eqx.Module):
             return np.asarray(applied_ratio(found), np.float32)
 
     def _of_channels(self, on: Array, off: Array | None, records: int) -> ChunkStripes:
-        """Of every line the channel in which its stripe is known best."""
+        """Stripes that take every line from the channel in which it is known best."""
         found = [one.extract(on, off, records) for one in (self.own_channel(), *self.channels)]
         doubts = self.doubts or (0.0,) * len(found)
         parts = [(doubted(one.stripes, found[0].stripes, d), one.chosen) for one, d in zip(found, doubts, strict=True)]
@@ -233,7 +233,7 @@ class _Kind(NamedTuple):
     """All that the function is compiled for beside sizes: no name, no number of the settings."""
 
     shape: tuple[int, ...]
-    """Of a frame."""
+    """Shape of a frame."""
     pixel_format: PixelFormat
     colour: Colour
     stripe_axis: StripeAxis
@@ -247,7 +247,7 @@ class _Kind(NamedTuple):
     @classmethod
     def of(cls, setup: ExtractionSetup, shape: tuple[int, ...]) -> "_Kind":
         frames, line = setup.frames, setup.line
-        # Of a mono camera the colour means nothing.
+        # For a mono camera the colour means nothing.
         colour: Any = "red" if frames.pixel_format == "mono8" else line.colour
         settings = setup.settings
         return cls(
@@ -448,14 +448,14 @@ def _noise_of_levels(
     line: LaserLine,
     clear: int,
 ) -> list[NoiseModel]:
-    """The noise of each level, of which `clear` is the last that is not clipped.
+    """The noise of each level; `clear` is the last level that is not clipped.
 
     An exposure has the camera's noise at each of its levels; these have that of the same electrons in other steps. So
-    each learns its own; one that does not tell it, for all of it is dark, or clipped, has that of the nearest other.
+    each learns its own; one that is too dark or clipped to show it takes that of the nearest other one.
     """
     learned = [learn_noise(*pair, frames=setup.frames, line=line) for pair in pairs]
     told = [k for k, one in enumerate(learned) if one.gain_told] or [clear]
-    # Of two as near the finer one: rounding hides less of its noise.
+    # If two are equally near, the finer one is taken: rounding hides less of its noise.
     nearest = [min((abs(other - k), -other, other) for other in told)[2] for k in range(len(pairs))]
     return [learned[of].noise.in_finer_steps(relative[k] / relative[of]) for k, of in enumerate(nearest)]
 

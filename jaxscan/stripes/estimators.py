@@ -125,7 +125,7 @@ def _centre_of_gravity(
 
 
 def _blurred(values: Float[Array, "lines n"]) -> Float[Array, "lines n-2"]:
-    """The samples but for the first and the last one, blurred."""
+    """The samples without the first and the last one, blurred."""
     return _BLUR[0] * (values[:, :-2] + values[:, 2:]) + _BLUR[1] * values[:, 1:-1]
 
 

@@ -59,7 +59,7 @@ class Window(NamedTuple):
     y: Float[Array, "samples stripes"]
     """Level: on minus off, or on where there is no off [DN]."""
     variance: Float[Array, "samples stripes"]
-    """Variance of `y` but for the stripe's own shot noise [DN^2]; UNUSED_VARIANCE where the sample does not count."""
+    """Variance of `y` without the stripe's own shot noise [DN^2]; UNUSED_VARIANCE where the sample does not count."""
     step: Float[Array, " stripes"]
     """Distance between samples [px]."""
     aperture: Float[Array, " stripes"]
@@ -219,7 +219,7 @@ def _fit_block(
 
 
 def _codes(on: Plane, off: Plane | None, cut: _Cut) -> tuple[Array, tuple[Array, Array], tuple[Array, Array] | None]:
-    """Of every sample of the windows whether it is in the image, and the first and last code of its bin."""
+    """Whether each sample of the windows is in the image, and the first and last code of its bin."""
     samples = on.samples.shape[1]
     index = cut.first[None] + cut.bins[None] * np.arange(WINDOW, dtype=np.int32)[:, None]
     last = index + cut.bins[None] - 1
@@ -496,7 +496,7 @@ def albedo_shift(
     level = jnp.maximum(level - offset, FLOOR * jnp.sqrt(variance))
     per_level = 1.0 / level
     source = light * per_level
-    # Of the centre by one sample's level: (z - mean) source / level / sum(source).
+    # Derivative of the centre by one sample's level: (z - mean) source / level / sum(source).
     pull = source * per_level
     pull = pull * pull * variance
     # Sums over the window, times 1, s and s^2 with s the sample's number from the middle: products with a fixed matrix,

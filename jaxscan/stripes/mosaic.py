@@ -1,8 +1,9 @@
 """What a colour mosaic does to centres, learned from steep stripes and taken back.
 
-A mosaic has the laser's colour on every second pixel. What a program fills in between is no Gaussian, so a centre errs
-by its place p on the mosaic, as a wave of two pixels: $a \\cos(\\pi p) + b \\sin(\\pi p)$. An upright stripe keeps its
-place, and nothing in its rows shows the error; a steep one passes all places within a few rows.
+A mosaic has the laser's colour on every second pixel. What a program fills in between is no Gaussian, so the
+error of a centre depends on its place p on the mosaic, as a wave with a period of two pixels:
+$a \cos(\pi p) + b \sin(\pi p)$. An upright stripe keeps its place, and nothing in its rows shows the error; a steep one
+passes all places within a few rows.
 """
 
 from collections.abc import Callable
@@ -17,19 +18,19 @@ from jaxscan.stripes.scatter import ProfileRows, cubic_rest, evenly_chosen
 
 
 _WIDTH = 32
-"""Rows of a window about a cubic."""
+"""Rows of a window in which a stripe is compared with a cubic."""
 _PERIOD_PX, _STEEPEST = 2.0, 0.8
-"""Way of a stripe in a window from which the window shows a wave, and slope up to which it is one surface [px/row]."""
+"""How far a stripe must move in a window to show a wave [px]; and the slope up to which it is one surface [px/row]."""
 _CALM, _WINDOWS = 2.5, 30
-"""Scatter of a window over the usual one up to which it counts, as edges lie in the others; and fewest windows."""
+"""Largest scatter of a window over the usual one, since those with more contain edges; and the fewest windows."""
 _LEAST = 0.3
-"""Least part of the scatter that a wave explains: of compression alone, a tenth of it looks like one [1]."""
+"""Least part of the scatter that a wave must explain: where there is only compression, it explains a tenth [1]."""
 _MOST_PX = 0.3
-"""Largest amplitude: with more, two places would have one centre."""
+"""Largest amplitude [px]: with a larger one, two places would have the same centre."""
 _LEFT = 0.25
-"""Part of a wave that is left: it differs by so much between bright and faint stripes, and upright and steep ones."""
+"""Part of a wave that remains, because bright and faint, or upright and steep stripes differ that much in it."""
 _NEAR, _STRAIGHT_PX = 8, 0.5
-"""Neighbours on either side whose mean tells the place, and how far from a straight line they are no surface [px]."""
+"""Neighbours on either side whose mean gives the place; and how far off a straight line a surface may be [px]."""
 _ROUNDS, _STEPS = 8, 20
 
 
@@ -37,9 +38,9 @@ class Wave(NamedTuple):
     """What a mosaic does to centres."""
 
     error: Float[np.ndarray, "profiles lines"]
-    """Of each centre [px]."""
+    """Error of each centre [px]."""
     left_px: float
-    """Standard deviation of what is left of it in an upright stripe [px]."""
+    """Standard deviation of the error that remains in an upright stripe [px]."""
 
 
 def mosaic_wave(rows: ProfileRows, near: tuple[float, ...], line_step: int = 1) -> Wave | None:
@@ -47,7 +48,7 @@ def mosaic_wave(rows: ProfileRows, near: tuple[float, ...], line_step: int = 1) 
 
     Args:
         rows: All rows of a laser.
-        near: Correlation of the noise of next rows: the filter that makes it lets less of a steep stripe's wave pass.
+        near: Correlation of the noise of next rows: the filter that causes it also weakens the wave of a steep stripe.
         line_step: Distance of the lines on which the laser's colour is seen.
     """
     some = evenly_chosen(rows)
@@ -86,7 +87,7 @@ def mosaic_wave(rows: ProfileRows, near: tuple[float, ...], line_step: int = 1) 
 
 
 def _passed(slope: np.ndarray, near: tuple[float, ...]) -> np.ndarray:
-    """Part of the wave of an upright stripe that is left of that of a steeper one [1]."""
+    """Amplitude of a steeper stripe's wave, as a part of that of an upright one [1]."""
     return np.asarray(np.sqrt(alike_on_mosaic(np.zeros(1), slope, near)))
 
 
@@ -97,7 +98,7 @@ def _error(place: np.ndarray, wave: np.ndarray, passed: np.ndarray) -> np.ndarra
 def _places(
     u: np.ndarray, wave: np.ndarray, passed: np.ndarray, smooth: Callable[[np.ndarray], np.ndarray]
 ) -> np.ndarray:
-    """Where stripes lie whose centres are seen at u, by their neighbours [px]."""
+    """True places of stripes whose centres are seen at `u`, smoothed over their neighbours [px]."""
     place = smooth(u)
     for _ in range(_STEPS):
         place = 0.5 * (place + smooth(u - _error(place, wave, passed)))
@@ -105,7 +106,7 @@ def _places(
 
 
 def _means(rows: ProfileRows, line_step: int) -> Callable[[np.ndarray], np.ndarray]:
-    """Means of each row and its neighbours on either side; the row itself where they are no straight line."""
+    """A function that averages each row and its neighbours, but leaves rows alone that are not on a straight line."""
     reach = _NEAR * line_step
     if rows.u.shape[1] <= 2 * reach:
         return lambda values: values
@@ -125,7 +126,7 @@ def _means(rows: ProfileRows, line_step: int) -> Callable[[np.ndarray], np.ndarr
 
 
 def _slopes(rows: ProfileRows, line_step: int) -> np.ndarray:
-    """Absolute slope of the stripe at each row, by the less steep side; 0 where it is not known [px/row]."""
+    """Absolute slope of the stripe at each row, taken on its less steep side; 0 where it is not known [px/row]."""
     reach, slope = _WIDTH // 4 * line_step, np.zeros_like(rows.u, np.float64)
     if rows.u.shape[1] <= 2 * reach:
         return slope

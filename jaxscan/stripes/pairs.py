@@ -23,7 +23,7 @@ from jaxscan.stripes.stripes import Stripes
 
 
 NO_INFORMATION = 1e3
-"""Standard deviation of a ratio of which the frames tell nothing [1]."""
+"""Standard deviation of a ratio about which the frames say nothing [1]."""
 _MONO = FrameFormat()
 _HALF_WINDOW = 12
 """Samples on either side of a stripe in which its trace is looked for."""
@@ -121,7 +121,7 @@ def leak(
 def frame_leak(
     ratio: Float[np.ndarray, "*frames n"], sigma: Float[np.ndarray, "*frames n"], valid: Bool[np.ndarray, "*frames n"]
 ) -> tuple[Float[np.ndarray, "*frames"], Float[np.ndarray, "*frames"]]:
-    """The mean of a leak over the lines of a frame, of which texture may have spoilt some, and its standard deviation.
+    """The mean of a leak over the lines of a frame, some of which texture may have spoilt; and its standard deviation.
 
     Lines are weighted by their information; those that lie further from the mean than 3 standard
     deviations, as the frame itself shows them, count less the further they lie. The standard deviation is by the

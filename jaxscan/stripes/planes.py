@@ -25,7 +25,7 @@ class Plane(NamedTuple):
 
     @classmethod
     def of(cls, samples: UInt8[Array, "lines samples"]) -> "Plane":
-        """Of a plane that is at hand."""
+        """A plane from samples that are at hand."""
         lines, count = samples.shape
         return cls(samples, jnp.asarray(samples).reshape(-1), count * np.arange(lines, dtype=np.int32), 1)
 

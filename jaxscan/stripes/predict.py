@@ -10,7 +10,7 @@ own running median.
 Where all channels see the laser, the others would take some of it away: then each is predicted by itself, along the
 line.
 
-Of several predictions each place takes the one that its surroundings bear out, and what is left of the median of the
+If there are several predictions, each place takes the one that its surroundings confirm. The remaining median of the
 difference is added, so that the prediction is right on average around every stripe.
 """
 
@@ -26,7 +26,7 @@ from jaxscan.stripes.frames import Colour, LaserLine, PixelFormat, laser_plane, 
 
 
 _PLACES = 8
-"""A median is that of three times so many samples and one more."""
+"""A median is taken over three times this many samples and one more."""
 _WIDE, _FAR = 3, 3
 """Distance of the samples of medians [samples] where stripes are clipped, and of hue: 36 px on either side."""
 _AROUND, _BLOCK = 4, 4
@@ -154,7 +154,7 @@ def _put(plane: Planes, where: Places, values: Float[np.ndarray, " n"]) -> Plane
 
 
 def _least(residuals: Sequence[Planes], places: int) -> Planes:
-    """Of the residuals of all predictions those that are smallest around; the laser only adds light."""
+    """The residuals of the prediction that leaves the smallest ones around each place; the laser only adds light."""
     best, least = residuals[0], None
     for residual in residuals if len(residuals) > 1 else ():
         size = np.abs(residual)
@@ -189,7 +189,7 @@ def _mixture(level: np.ndarray, *others: np.ndarray) -> Float[np.ndarray, "lines
     share = np.array([1.0 / len(others)] * len(others) + [0.0])
     for _ in range(_STEPS):
         weight = 1.0 / np.maximum(np.abs(y - x @ share), 1.0)
-        # Where all surfaces have one hue the mixture is open: of those that fit the smallest.
+        # If all surfaces have one hue, many mixtures fit; the smallest one is taken.
         share = np.linalg.lstsq((weight[:, None] * x).T @ x, (weight * y) @ x, rcond=1e-9)[0]
     mixed = sum((s * plane for s, plane in zip(share, others, strict=False)), np.full_like(level, share[-1]))
     return np.maximum(np.asarray(mixed, np.float32), 0.0)
@@ -202,7 +202,7 @@ def _near(marked: Places, half: int) -> Places:
 
 
 def box_mean(values: Planes, samples: int, lines: int) -> Planes:
-    """Mean over so many samples and lines on either side; over fewer at the borders."""
+    """Mean over the given numbers of samples and lines on either side; over fewer at the borders."""
     for axis, reach in ((2, samples), (1, lines)):
         size = values.shape[axis]
         total = np.zeros([size + 1 if k == axis else length for k, length in enumerate(values.shape)], np.float32)
@@ -248,7 +248,7 @@ def running_median(values: Planes, places: int, spacing: int = 1) -> Float[np.nd
 
 
 def median_at(values: Planes, places: int, where: Places, spacing: int = _WIDE) -> Float[np.ndarray, " n"]:
-    """As `running_median`, at some samples."""
+    """The values of `running_median` at some samples."""
     wide = _between_ends(values, places, spacing)
     first = np.flatnonzero(where)
     first += first // values.shape[2] * (wide.shape[2] - values.shape[2])
@@ -267,7 +267,7 @@ def _between_ends(values: Planes, places: int, spacing: int) -> Int16[np.ndarray
 
 
 Run = list[np.ndarray]
-"""Arrays of one shape, of which each is nowhere below the one before."""
+"""Arrays of one shape; each is nowhere below the one before."""
 
 
 def _ordered(values: Run) -> Run:

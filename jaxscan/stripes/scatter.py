@@ -56,7 +56,7 @@ class ProfileRows(NamedTuple):
     valid: Bool[np.ndarray, "profiles lines"]
     """Which of them exist."""
     amplitude: Float[np.ndarray, "profiles lines"]
-    """Of the stripes [DN]."""
+    """Amplitudes of the stripes [DN]."""
 
 
 class Scatter(NamedTuple):
@@ -67,7 +67,7 @@ class Scatter(NamedTuple):
     common: Float[np.ndarray, "profiles lines"]
     """Part of the variance of every row that its neighbours share, so that no average makes it smaller [1]."""
     correlation: Correlation
-    """Of the errors of neighbouring rows: blur, demosaicing and compression spread them over several."""
+    """Correlation of the errors of neighbouring rows: blur, demosaicing and compression spread them over several."""
 
 
 class ScatterLaw(NamedTuple):
@@ -80,12 +80,12 @@ class ScatterLaw(NamedTuple):
     common: tuple[tuple[float, float, float], ...]
     """Parts of the variance that neighbours share, from one to another sigma over the usual one."""
     correlation: Correlation
-    """As of `Scatter`."""
+    """See `Scatter`."""
     variance: float = 1.0
     """Where rows are alike, their variance over the promised one, less that of `Correlation.mosaic_px` [1]."""
 
     def with_mosaic(self, sigma_px: float) -> "ScatterLaw":
-        """With an error more by the place on a mosaic [px]."""
+        """This law with one more error, which depends on the place on a mosaic [px]."""
         together = float(np.hypot(self.correlation.mosaic_px, sigma_px))
         return self._replace(correlation=self.correlation._replace(mosaic_px=together))
 
@@ -156,11 +156,11 @@ class _Windows(NamedTuple):
     width: int
     """Rows of each."""
     products: Float[np.ndarray, " distances"]
-    """Mean of the products of rows so far apart, as they are about a cubic, over the promised variance [1]."""
+    """Mean of the products of errors about a cubic, for each distance of rows, over the promised variance [1]."""
     deviation: Float[np.ndarray, " distances"]
     """Standard deviation of these means."""
     slope: Float[np.ndarray, " windows"]
-    """Of the stripe, absolute [px/row]."""
+    """Absolute slope of the stripe [px/row]."""
     information: float
     """Mean of 1 over the promised variance [1/px^2]."""
     usual: float
@@ -368,11 +368,11 @@ def _common(
 
 
 def _differences(rows: ProfileRows, apart: int, weights: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """Differences, absolute, over their promised standard deviation, and amplitudes, of rows so far apart."""
+    """Absolute differences of rows that are `apart`, over their promised standard deviation; and amplitudes."""
     count, length = rows.u.shape[0], max(rows.u.shape[1] - (len(weights) - 1) * apart, 0)
     parts = [np.s_[:, k * apart : k * apart + length] for k in range(len(weights))]
     whole = np.logical_and.reduce([rows.valid[part] for part in parts])
-    # Of all rows: picking the whole ones out of every part takes longer than adding up the others too.
+    # All rows are added up: picking the whole ones out of every part takes longer than adding the others too.
     difference, variance = np.zeros((count, length)), np.zeros((count, length))
     square = rows.sigma**2
     for weight, part in zip(weights, parts, strict=True):

@@ -17,7 +17,7 @@ from jaxscan.stripes.stripes import FrameStripes, NoiseModel, StripeSettings
 LEARNED_FRAMES = 8
 """Frames from which width and speckle are learned."""
 _LEAST_STRIPES = 100
-"""With fewer no width is learned."""
+"""If there are fewer stripes, no width is learned."""
 _LEAST_SPREAD = 0.1
 """Smallest standard deviation of the prior of the width [1]."""
 _WORST = (0.3, 0.5)

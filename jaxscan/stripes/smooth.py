@@ -175,14 +175,14 @@ class _Sums(NamedTuple):
 
 @compile_wide
 def _smooth(u: Array, sigma: Array, valid: Array, tables: Tables) -> tuple[Array, ...]:
-    """Of the profiles of one laser, as `Smoothed`."""
+    """Smooth the profiles of one laser; the fields of `Smoothed`."""
     keep = functools.partial(kept, jnp.any(valid))
 
     def padded(make: Callable, *fields: Any) -> Any:
         return keep(lambda field: jnp.pad(field, ((0, 0), (_MARGIN, _MARGIN))), keep(make, *fields))
 
     def pair(make: Callable, *fields: Any) -> tuple[Array, Array]:
-        # A complex number holds two results: of two arrays everything before them would be computed twice.
+        # A complex number holds two results: with two arrays, everything before them would be computed twice.
         both = keep(lambda *given: lax.complex(*(part.astype(jnp.float32) for part in make(*given))), *fields)
         return both.real, both.imag
 
@@ -238,7 +238,7 @@ def _packed(u: Array, sigma: Array, valid: Array) -> tuple[Array, Array, Array, 
 
 
 def _shifted(field: Array, by: int = 0) -> Array:
-    """Of a field with a margin the value so many rows further on."""
+    """A field with a margin, moved on by so many rows."""
     return field[:, _MARGIN + by : field.shape[1] - _MARGIN + by]
 
 
@@ -336,7 +336,7 @@ def _sides(word: Array) -> tuple[Array, Array]:
 
 
 def _neighbours(rows: _Rows, low: Array, high: Array, reach: tuple[int, int]) -> Iterable[tuple[Array, Array, Array]]:
-    """Of each row in a window the weight, the line and the centre, as `_added` takes them.
+    """Weight, line and centre of each row in a window, in the form that `_added` takes.
 
     Args:
         rows: All of them.

@@ -31,10 +31,10 @@ _SURE = 2.5
 """Standard deviations by which both the centres' and the widths' scatter must exceed that of photons: noise alone does
 that once in 25 000 sweeps."""
 _DOUBT = 0.05
-"""Relative doubt about the variance by photons: a contrast that is within it is not told from none [1]."""
+"""Relative doubt about the variance by photons: a contrast within it cannot be distinguished from none [1]."""
 _SURFACE, _ROUGH = 3.0, 8.0
 """How much more the centres may scatter than the widths allow, in variance: the rest is the surface's;
-beyond the second nothing is told of speckle. Grains of a third to three pixels reach 2."""
+beyond the second nothing is learned about speckle. Grains of a third to three pixels reach 2."""
 _CUT = 4.0
 """Standard deviations beyond which a second difference is an edge."""
 _REACH = 10
@@ -63,7 +63,7 @@ class Rows(NamedTuple):
     valid: Bool[np.ndarray, "frames lines"]
     """Stripes that are believed."""
     usable: Bool[np.ndarray, "frames lines"]
-    """Those of them that were fitted and are not clipped."""
+    """Believed stripes that were fitted and are not clipped."""
 
 
 class Scatters(NamedTuple):

@@ -13,11 +13,11 @@ from jaxscan.surface.mesh import DEFAULT_MESH, Mesh, MeshSettings
 
 
 WIDEST_GAP = 2.5
-"""Profiles further apart than so many usual steps are no neighbours."""
+"""Profiles further apart than this many usual steps are no neighbours."""
 SMALLEST_GAP = 0.25
-"""Profiles nearer than so many usual steps are the same one, taken twice."""
+"""Profiles nearer than this many usual steps are the same one, taken twice."""
 WIDEST_CLOSING = 4.0
-"""The last profile joins the first where their points are at most so many times as far apart as usual."""
+"""The last profile joins the first where their points are at most this many times as far apart as usual."""
 
 
 class Lattice(NamedTuple):
@@ -63,7 +63,7 @@ def _sheet(members: np.ndarray, angle: np.ndarray, cloud: PointCloud) -> tuple[n
         return members[:1], np.zeros(0, np.bool_), False
     usual = float(np.median(moved))
     members = members[np.append(True, steps > SMALLEST_GAP * usual)]
-    # Of a turn and a bit more, the bit is left out.
+    # If profiles cover more than one turn, the rest is left out.
     turned = angle[members] - angle[members[0]]
     once = members[turned < 2 * np.pi - SMALLEST_GAP * usual]
     rest = 2 * np.pi - turned[len(once) - 1]
@@ -136,7 +136,7 @@ class Edges(NamedTuple):
     joined: Bool[np.ndarray, "columns lines"]
     """Whether both are on one surface."""
     cost: Float[np.ndarray, "columns lines"]
-    """Departure beyond the noise [m], with a trace of the length: of two diagonals the cheaper one is better."""
+    """Departure beyond the noise [m], with a trace of the length: the cheaper one of two diagonals is better."""
 
 
 def join(first: Nodes, second: Nodes, settings: MeshSettings) -> Edges:

@@ -19,7 +19,7 @@ from jaxscan.surface.mesh import Mesh
 Colour = Callable[
     [Float[np.ndarray, "n 3"], Float[np.ndarray, "n 3"]], tuple[UInt8[np.ndarray, "n 3"], Bool[np.ndarray, " n"]]
 ]
-"""From points [m] and unit normals to their colours, and whether they are known."""
+"""Maps points [m] and unit normals to their colours, and to whether these are known."""
 
 LARGEST_SIDE = 16_384
 """Most texels on a side: what graphics cards hold."""

@@ -41,7 +41,7 @@ class Levels(NamedTuple):
 
     order: Int[np.ndarray, " n"]
     chunks: tuple[Chunk, ...]
-    """By tile, from coarse to fine."""
+    """Chunks, tile by tile, each from coarse to fine."""
 
 
 def make_levels(xyz: Float[np.ndarray, "n 3"], *, overview: int = OVERVIEW) -> Levels:
@@ -64,7 +64,7 @@ def make_levels(xyz: Float[np.ndarray, "n 3"], *, overview: int = OVERVIEW) -> L
             codes = _morton(xyz[order[start:stop]], low, extent)
             along = np.argsort(codes)
             order[start:stop], codes = order[start:stop][along], codes[along]
-            # By the highest bit that differs; equal places differ in none, and are of the finest level.
+            # The highest bit that differs gives the level. Equal places differ in none, and are of the finest level.
             changed = codes ^ np.concatenate([[before], codes[:-1]])
             digit[start:stop] = DEPTH - 1 - np.maximum(_highest_bit(changed), 0) // 3
             before = codes[-1]
@@ -98,7 +98,7 @@ def _by_tile(xyz: np.ndarray, low: np.ndarray, extent: float) -> tuple[np.ndarra
         some = tile[start : start + _AT_ONCE]
         by_tile = np.argsort(some, kind="stable")
         counts = np.bincount(some, minlength=len(free))
-        # Of the points of a tile the next one goes to the next free place of that tile.
+        # Each point of a tile goes to the next free place of that tile.
         order[np.repeat(free - np.cumsum(counts) + counts, counts) + np.arange(len(some))] = start + by_tile
         free += counts
     return order, ends

@@ -27,7 +27,7 @@ from jaxscan.viewer.shown import ShownCloud
 Kind = Literal["point", "distance", "height", "angle", "area", "flatness", "room", "box"]
 DISTANCE_RADIUS_M = 0.02
 PLANE_RADIUS_M = 0.2
-"""As in `jaxscan measure`."""
+"""Both radii are those of `jaxscan measure`."""
 _DECIMALS = 4
 """Decimals of picked coordinates [m]: what is listed is what was measured."""
 _LEAST = 4
@@ -49,9 +49,9 @@ class Measured(NamedTuple):
     at: np.ndarray
     """The picked places, or the ends of a length of the room [k, 3], m, in the cloud's frame."""
     value: float | None
-    """In `unit`; None of a point."""
+    """Value in `unit`; None for a point."""
     sigma: float | None
-    """In `unit`; None where it is unknown."""
+    """Standard deviation in `unit`; None where it is unknown."""
     words: tuple[str, ...]
     plane: PlaneMeasurement | None = None
     turned: bool = False

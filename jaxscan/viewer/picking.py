@@ -1,4 +1,4 @@
-"""Which point a click means."""
+"""The point that a click means."""
 
 import numpy as np
 from jaxtyping import Float, Int8
@@ -21,7 +21,7 @@ def pick(
     shown: np.ndarray | None = None,
     sides: Int8[np.ndarray, "n 3"] | None = None,
 ) -> int | None:
-    """The point that a click means: of the nearest surface within a cone around its ray, the one closest to the ray.
+    """The point that a click means: it is on the nearest surface in a cone around the ray, and closest to the ray.
 
     Args:
         xyz: Points [m].

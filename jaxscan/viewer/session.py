@@ -287,7 +287,7 @@ def inside_section(cloud: ShownCloud, shift: np.ndarray, order: Order) -> np.nda
 
 
 def _turn(order: Order) -> np.ndarray:
-    """From the scene to the frame of the section [3, 3]."""
+    """Rotation from the scene to the frame of the section [3, 3]."""
     c, s = np.cos(order.turn_rad), np.sin(order.turn_rad)
     return np.array([[c, s, 0], [-s, c, 0], [0, 0, 1]])
 

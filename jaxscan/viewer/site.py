@@ -54,11 +54,11 @@ class Named(NamedTuple):
 
     name: str
     cloud: PointCloud
-    """In metres, z up, with one valid point at least."""
+    """The cloud in metres, z up, with at least one valid point."""
     turned: bool = False
-    """Whether its axes are not those of its file."""
+    """Whether the axes differ from those of the file."""
     words: Mapping[str, str] = MappingProxyType({})
-    """Options of `jaxscan measure` by which it measures the same: "calibration", "unit" and "up"."""
+    """Options with which `jaxscan measure` gives the same results: "calibration", "unit" and "up"."""
     panorama: Panorama | None = None
 
 
@@ -70,7 +70,7 @@ def serve_clouds(
     Args:
         address: Where to listen.
         clouds: One or more.
-        scanner: With which they were made; sigma then includes the calibration's part.
+        scanner: The rig that took the clouds; sigma then includes the part of its calibration.
         products: Gives the products of their project, which are listed beside them.
     """
     view = View(clouds, scanner, products)
@@ -128,7 +128,7 @@ class View:
         self._joining = asyncio.Lock()
 
     async def scene(self, _: web.Request) -> web.Response:
-        """What there is: clouds with the lists of their chunks, places to stand in, colourings."""
+        """All that a page can show: clouds with the lists of their chunks, places to stand in, colourings."""
         clouds = [
             {
                 "name": cloud.name,
@@ -138,7 +138,7 @@ class View:
                     [c.tile, c.stop - c.start, *c.centre.tolist(), c.radius, min(c.gap, 1e9), c.spacing]
                     for c in cloud.levels.chunks
                 ],
-                # Where it is in the scene, whose origin is that of the first.
+                # Place of the cloud in the scene, whose origin is that of the first cloud.
                 "shift": (cloud.origin - self.clouds[0].origin).tolist(),
                 "stations": cloud.stations()[:_MOST_STATIONS].tolist(),
                 "low": cloud.low.tolist(),
@@ -152,7 +152,7 @@ class View:
             for cloud, seen in zip(self.clouds, self._panoramas, strict=True)
         ]
         known = [by for by in COLOURINGS if any(cloud.has(by) for cloud in self.clouds)]
-        # The first is shown at first; a panorama is seen among the colours of photographs.
+        # A page begins with the first colouring. A panorama belongs to the colouring by photographs.
         if any(self._panoramas) and "photograph" not in known:
             known.insert(0, "photograph")
         said = {"id": self._id, "systematic": self._scanner is not None, "products": self._products is not None}
@@ -175,7 +175,7 @@ class View:
         return web.Response(body=colours[number][chunk.start : chunk.stop].tobytes(), content_type=_BINARY)
 
     async def surface(self, request: web.Request) -> web.Response:
-        """The triangles of a cloud: `surface_bytes`."""
+        """The triangles of a cloud, packed by `surface_bytes`."""
         cloud, surface = await self._surface(request)
         return web.Response(body=await asyncio.to_thread(surface_bytes, cloud, surface), content_type=_BINARY)
 
@@ -298,7 +298,7 @@ def _answer(
     find: Callable[[web.Request], Awaitable[View]],
     answer: Callable[[View, web.Request], Awaitable[web.StreamResponse]],
 ) -> Handler:
-    """An answer of the view that is asked for, or the line why there is none."""
+    """An answer of the view that a request names, or a line that says why there is none."""
 
     async def found(request: web.Request) -> web.StreamResponse:
         try:
@@ -322,7 +322,7 @@ async def _talk(socket: web.WebSocketResponse, session: Session, clouds: int, sl
             if message.type is not WSMsgType.TEXT:
                 break
             try:
-                # In their order: two clicks in a row are the two ends of a distance.
+                # Orders are begun one after the other: two clicks in a row are the two ends of a distance.
                 answer = await asyncio.to_thread(session.begin, parse_order(message.data, clouds))
             except JaxscanError as problem:
                 answer = {"message": " ".join(str(problem).split())}
@@ -346,7 +346,7 @@ async def _finish(socket: web.WebSocketResponse, session: Session, work: Work, s
         async with slots:
             answer = await asyncio.to_thread(session.finish, work)
     except BaseException:
-        # The page is told, so that it does not wait for an answer that never comes.
+        # The page gets an answer in any case, so that it does not wait for an answer that never comes.
         await socket.close()
         raise
     if answer is not None:

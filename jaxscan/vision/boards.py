@@ -33,9 +33,9 @@ _SMALLEST_PX = 16
 def find_corners(image: np.ndarray, board: AbstractBoard) -> FoundCorners | None:
     """Find the corners of a board in one grey image, to a hundredth of a pixel where it is sharp.
 
-    A chessboard or a grid of circles must be wholly visible; of a ChArUco board or an AprilGrid a
+    A chessboard or a grid of circles must be wholly visible; for a ChArUco board or an AprilGrid a
     part suffices. The orientation of a plain chessboard is ambiguous. The returned order is
-    right-handed as seen. Of a plain chessboard, if one of `columns` and `rows` is even and the
+    right-handed as seen. In a plain chessboard, if one of `columns` and `rows` is even and the
     other odd, the square beside corner 0 is black. Otherwise the
     board's x axis points right rather than left in the image, so such a board must not be turned
     by more than 90 degrees in its plane between views of one placement.
@@ -74,7 +74,7 @@ def find_corners(image: np.ndarray, board: AbstractBoard) -> FoundCorners | None
 
 
 def _find_chessboard(image: np.ndarray, shown: np.ndarray, board: Chessboard) -> FoundCorners | None:
-    """By OpenCV's first detector, or by the sector based one where that finds no even grid."""
+    """Corners by OpenCV's first detector, or by the sector-based one where the first finds no even grid."""
     q = _find_squares(shown, board)
     if q is None:
         q = _find_sectors(shown, board)

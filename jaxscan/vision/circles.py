@@ -146,7 +146,7 @@ def _weigh(
 
 
 class _Map(NamedTuple):
-    """From the board [m] to the image [px]: a homography, and a cubic for the lens where there are centres enough."""
+    """A map from the board [m] to the image [px]: a homography, and with enough centres a cubic for the lens."""
 
     homography: np.ndarray
     middle: np.ndarray

@@ -92,7 +92,7 @@ class _Window(NamedTuple):
 
     level: np.ndarray
     u: np.ndarray
-    """From the first value of the corner [px]."""
+    """Coordinate u, counted from the first value of the corner [px]."""
     v: np.ndarray
     weight: np.ndarray
     """1 where the pixel counts, else 0."""

@@ -20,7 +20,7 @@ WIDEST = 4096
 """Largest side of a picture that every browser can draw [px]."""
 _FIELD = re.compile(rb'GPano:(\w+)(?:="|>)(\d{1,6})["<]')
 _ABOUT_BYTES = 200_000
-"""Metadata is looked for in so many bytes at the beginning of a file."""
+"""Metadata is searched in this many bytes at the beginning of a file."""
 
 
 def encode_jpeg(image: np.ndarray, *, quality: int = 92, xmp: str = "") -> bytes:

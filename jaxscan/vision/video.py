@@ -38,7 +38,7 @@ class Video:
             raise CaptureError(f"{path}: found another kind of file, expected a video: AVI, MP4, MOV, MKV or WebM.")
         self._video = cv2.VideoCapture(path, cv2.CAP_FFMPEG)
         width, height = (int(self._video.get(key)) for key in (cv2.CAP_PROP_FRAME_WIDTH, cv2.CAP_PROP_FRAME_HEIGHT))
-        # As stored on the sensor, whatever the file says about the way it was held.
+        # Frames are taken as the sensor stored them, whatever the file says about how the camera was held.
         self._video.set(cv2.CAP_PROP_ORIENTATION_AUTO, 0)
         if not self._video.isOpened() or width < 1 or height < 1:
             self.close()

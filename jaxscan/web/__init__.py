@@ -1,4 +1,4 @@
-"""Pages served to a browser, behind one gate: who may come in, and what may be asked for."""
+"""Pages served to a browser, behind one gate that checks who may come in and what they may request."""
 
 from jaxscan.web.address import Address, open_address
 from jaxscan.web.gate import Gate

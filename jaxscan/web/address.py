@@ -76,7 +76,7 @@ def open_address(host: str, port: int, *, option: str) -> Address:
         raise OptionError(f"--host: found {host!r}, expected a name or number of this machine: {problem}.") from problem
     listening = socket.socket(family, socket.SOCK_STREAM)
     try:
-        # As servers do, so that a port is free again at once after its server ended.
+        # Usual for servers: a port is free again as soon as its server has ended.
         listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
         listening.bind(where)
         listening.listen(_WAITING)

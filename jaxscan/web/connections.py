@@ -14,7 +14,7 @@ from typing import cast
 STRANGERS = 32
 """Connections of those who have not shown the token yet."""
 STRANGERS_OF_ONE = 16
-"""The same, of one address."""
+"""Connections of such strangers from one address."""
 GUESTS = 128
 """Connections of those who have: twelve pages with all their files at once."""
 HEAD_S = 10.0
@@ -24,7 +24,7 @@ IDLE_S = 30.0
 READ_S = 10.0
 """So long the other end may read nothing of what waits for it."""
 _OF_ALL_FILES = 4
-"""One in so many descriptors of this process is for connections; the others are for the scan."""
+"""One of this many descriptors of the process is for connections; the others are for the scan."""
 
 
 def _file_limit() -> int | None:

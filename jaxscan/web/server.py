@@ -19,7 +19,7 @@ from jaxscan.web.connections import Connections
 
 
 _END_S = 1.0
-"""So long connections may take to end, and a body that nobody wants may take to come."""
+"""Longest time for connections to end, and for an unwanted body to arrive."""
 _AT_ONCE = 8
 """Connections that are accepted before those that are there are heard: fewer than strangers may have, so that a head
 that came with its connection is always read."""

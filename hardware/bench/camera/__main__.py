@@ -26,7 +26,7 @@ def main() -> int:
     parser.add_argument("--control", type=Path, required=True, help="the socket to make")
     parser.add_argument("--ledger", type=Path, required=True, help="file for the true view of each frame, JSONL")
     parser.add_argument("--world", type=Path, default=WORLD, help="a simulated rig, TOML")
-    parser.add_argument("--address", default=ADDRESS, help="of a local network interface")
+    parser.add_argument("--address", default=ADDRESS, help="address of a local network interface")
     parser.add_argument("--microsteps-per-turn", type=int, default=28800)
     parser.add_argument("--owner", type=int, default=os.getppid(), help="the process that started it")
     options = parser.parse_args()

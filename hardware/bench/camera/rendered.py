@@ -193,7 +193,7 @@ class Light:
 
     on: bool = False
     cycles: int = 0
-    """Of this pulse, up to when it went off last."""
+    """Cycles of this pulse for which it shone, up to when it last went off."""
     since: int | None = None
 
     def switch(self, on: bool, cycle: int) -> None:

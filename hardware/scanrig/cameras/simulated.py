@@ -230,5 +230,5 @@ def _drawn(scene: SyntheticScene, settings: CameraSettings) -> Scene:
 
 
 def _alternation() -> Iterator[tuple[float, int]]:
-    """At each position in turn: laser on, then off."""
+    """Positions and laser states of successive frames: at each position laser on, then off."""
     return ((float(8 * (k // 2)), 1 - k % 2) for k in count())

@@ -31,9 +31,9 @@ class Settings:
     settle_ms: int = 50
     """Rest before a shot."""
     laser_on_ms: int = 20
-    """From laser on to exposure."""
+    """Time from laser on to exposure."""
     laser_off_ms: int = 20
-    """From laser off to exposure."""
+    """Time from laser off to exposure."""
     exposure_ms: int = 10
     gap_ms: int = 5
     """After each exposure."""

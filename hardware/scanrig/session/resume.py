@@ -131,7 +131,7 @@ def read_pair(folder: Path, number: int) -> tuple[np.ndarray, np.ndarray]:
         if record.i == number:
             on, off = reader.frame(record.on), reader.frame(record.off)
             if on is not None and off is not None:
-                # Of more than 8 bits the first level holds the whole range.
+                # With more than 8 bits, the first level holds the whole range.
                 return (on, off) if texts.header.camera.bits is None else (on[0], off[0])
     raise CaptureError(f"{folder}: record {number} lacks a frame, so nothing can be compared with it.")
 

@@ -30,7 +30,7 @@ class Ending(NamedTuple):
     """The end of a session."""
 
     status: str
-    """As in `SessionResult`; or "aborted" or "failed", and then `error` is raised."""
+    """One of those in `SessionResult`; or "aborted" or "failed", and then `error` is raised."""
     message: str
     error: BaseException | None = None
 

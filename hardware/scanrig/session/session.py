@@ -239,7 +239,7 @@ class Session:
             self._watch(pair, flight.placement, proof)
 
     def _check_homing(self, homings: int, placement: int | None) -> None:
-        """Judge the table's position if it was homed again since there were so many homings."""
+        """Judge the table's position if it was homed again since the given count of homings."""
         # Another placement of the board looks different whatever the table does.
         if self.rig.homings > homings and placement == self._last_placement:
             self._compare_last()
@@ -250,7 +250,7 @@ class Session:
         self._collect(0)
 
     def _collect(self, most: int = AHEAD) -> None:
-        """Count and hand out the records that are on the disk by now; wait until at most so many are not."""
+        """Count and hand out the records that are on the disk by now; wait until at most a given number are not."""
         hooks = self.job.hooks
         for flight in self._flights.landed(most):
             self._count(flight)

@@ -45,7 +45,7 @@ class Rejections(NamedTuple):
 
     reasons: tuple[str, ...] = ()
     verdict: str = ""
-    """Of the last one, if it was the proof that rejected it."""
+    """Verdict on the last take, if it was the proof that rejected it."""
 
     def also(self, reason: str, verdict: str = "") -> "Rejections":
         return Rejections((*self.reasons, reason), verdict)
@@ -61,7 +61,7 @@ class Pair:
     record: int
     laser: int
     position: int
-    """As the controller reported it [microsteps from home]."""
+    """Position that the controller reported [microsteps from home]."""
     on: Frame
     off: Frame
     rejections: Rejections
@@ -390,7 +390,7 @@ class Flights:
         return flight, proof
 
     def landed(self, most: int = AHEAD) -> Iterator[Flight]:
-        """The pairs that are on the disk by now; waits until at most so many are not, and raises what failed."""
+        """The pairs that are on the disk by now. Waits until at most a given number are not, and raises what failed."""
         while self._flying and (len(self._flying) > most or self._flying[0].stored.done()):
             stored = self._flying[0].stored.result()
             flight = self._flying.popleft()

@@ -172,7 +172,7 @@ class Desk:
                 with outlived(self.slate, "the list of captures"):
                     self.after()
                 finished += 1
-                # As the sentence on a fault names it.
+                # The emergency stop is recognised by its words in the message on a fault.
                 estop = f": {Fault.EMERGENCY_STOP};" in f"{said} {problem}"
                 # Match the word with or without its capital. A doubt about the laser stays until the rig is
                 # open again and may let it shine.

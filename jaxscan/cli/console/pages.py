@@ -93,7 +93,7 @@ GRACE_S = 4.0
 
 @dataclass
 class Roles:
-    """Of several pages one operates, the others watch. One that comes back under its name is again what it was."""
+    """Which of several pages operates; the others watch. A page that comes back under its name keeps its role."""
 
     operator: str = ""
     """Name of the page that operates; "" before the first came."""

@@ -1,4 +1,4 @@
-"""What all pages show: written by the threads that know, read by the server's."""
+"""What all pages show: written by the threads that know it, and read by that of the server."""
 
 import json
 import logging
@@ -75,7 +75,7 @@ class Slate:
             return self._picture
 
     def clear_cloud(self, expected: int) -> None:
-        """Begin a cloud of about so many points; of more than can be shown every n-th is kept."""
+        """Begin a cloud of about this many points; if they are more than can be shown, every n-th is kept."""
         with self._lock:
             self._chunks, self._cloud = [], self._cloud + 1
             self._stride = max(1, -(-expected // MOST_POINTS))

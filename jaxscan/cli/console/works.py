@@ -39,7 +39,7 @@ class Work(NamedTuple):
     words: Sequence[str]
     then: Then = lambda well, result: None
     so_far: bool = False
-    """Whether it is of a capture that goes on; it gives way to the next one."""
+    """Whether the work belongs to a capture that is still growing; it gives way to the next such work."""
 
 
 class Works:
@@ -51,7 +51,7 @@ class Works:
         Args:
             slate: Where people see it.
             captures: Of which all is made.
-            calibration: With which clouds are made, until there is a better one.
+            calibration: The calibration with which clouds are made, until there is a better one.
         """
         self._slate, self._captures, self.calibration = slate, captures, calibration
         self._waiting: queue.SimpleQueue[Work | None] = queue.SimpleQueue()
@@ -265,7 +265,7 @@ class Works:
 def keep(lines: list[str], line: str) -> None:
     """Take what a verb says into the lines that pages show.
 
-    What to type next is no news on a page with buttons, and of the times that are left the newest counts.
+    Hints on what to type next are dropped, as a page has buttons; of remaining times only the newest is kept.
     """
     if line.startswith("next: "):
         return

@@ -275,7 +275,7 @@ class CovarianceTable(FileModel):
         variances = np.diag(matrix)
         if (variances < 0).any():
             raise ValueError(f"matrix: the variance of {self.order[int(np.argmin(variances))]} is negative")
-        # As correlations, so that px and rad are judged alike; a parameter held fixed has no row.
+        # The matrix is checked as correlations, so that px and rad are judged alike; a parameter held fixed has no row.
         deviations = np.sqrt(np.where(variances > 0, variances, 1.0))
         with np.errstate(over="ignore"):
             correlations = matrix / deviations[:, None] / deviations[None, :]

@@ -349,7 +349,7 @@ def range_of(kind: np.dtype, reach: Reach, reading: Reading, *, stated: float | 
     most, whole = reach
     if reading.brightest is not None:
         return Range(reading.brightest, "--colours")
-    # Limits of 16 bits, of which 8 are used: the cloud would be black. Of 10 or 12 bits it may be dark.
+    # If the limits are those of 16 bits but 8 are used, the cloud would be black. With 10 or 12 bits it may be dark.
     black, white = (stated or 0) > _TOO_BRIGHT and 1 < most <= 255, most > 1.01 * (stated or 0)
     if stated is not None and not (black or white):
         return Range(stated, "the file's limits")

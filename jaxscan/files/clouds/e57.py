@@ -328,7 +328,7 @@ MAX_SCANS = 1024
 _SINGLE_M = 128.0
 """Coordinates up to which a single is good to 8 um."""
 _UNIT = 1e-2
-"""By how much the length of a quaternion may differ from 1, as it is written with few digits."""
+"""How far the length of a quaternion may differ from 1, since it may be written with few digits."""
 _CARTESIAN = {f"cartesian{axis}": axis.lower() for axis in "XYZ"}
 _SPHERICAL = {"sphericalRange": "range", "sphericalAzimuth": "azimuth", "sphericalElevation": "elevation"}
 _STATES = ("cartesianInvalidState", "sphericalInvalidState")

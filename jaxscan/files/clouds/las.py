@@ -190,7 +190,7 @@ def _check(file: BinaryIO, sizes: Sizes, size: int) -> None:
 
 
 def _points_of(laspy: Any, file: BinaryIO, given: Sizes) -> tuple[Records, Reach]:
-    """All columns that a cloud may use, but for those of the format that are 0 everywhere; and the largest colour."""
+    """All columns that a cloud may use, except those of the format that are 0 everywhere; and the largest colour."""
     with _opened(laspy, file, given) as reader:
         header = reader.header
     scales, offsets = np.array(header.scales), np.array(header.offsets)

@@ -28,7 +28,7 @@ _TURNS: dict[Up, list[list[int]]] = {
 MILLIMETRES_FROM, CENTIMETRES_FROM = 1500.0, 200.0
 """Extents from which a cloud is taken for one in a smaller unit: no room is 200 m large, and few are 15 m."""
 FAR_AWAY = 10.0
-"""A cloud so many times its extent from the origin is one of a map, which is in metres."""
+"""A cloud that is this many times its extent from the origin is in map coordinates, which are in metres."""
 SMALLEST_M, LARGEST_M = 0.005, 1000.0
 """Extents of things on a table and of places: others are in another unit, whatever the file says."""
 _COMMON: tuple[Unit, ...] = ("m", "cm", "mm", "foot")

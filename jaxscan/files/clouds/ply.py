@@ -64,7 +64,7 @@ class _Header(NamedTuple):
 def read_ply(file: BinaryIO, reading: Reading) -> StoredCloud:
     """A cloud from a PLY file, ASCII or binary.
 
-    A file of this library is read onto its grid, unless its points are too few for so large a one. Of other
+    A file of this library is read onto its grid, unless its points are too few for so large a one. From other
     files, `x y z` and, where present, colours, normals, intensity and sigmas are read, as a single profile, or on the
     grid where they have kept step and row. Lists in the vertices or before them are passed over.
     """
@@ -161,7 +161,7 @@ def _has_more(file: BinaryIO) -> bool:
 def _check_length(file: BinaryIO, element: _Element, text: bool) -> None:
     """Compare what the header announces with what is left of the file, before memory is taken."""
     count, size = element.rows, os.fstat(file.fileno()).st_size
-    # As text, a number takes a digit and a separator; an empty list is its number of items.
+    # In text, a number takes a digit and a separator; an empty list takes only its number of items.
     needed = count * (2 * len(element.properties) if text else element.shortest) - (1 if text and count else 0)
     if needed > size - file.tell():
         raise CloudError(

@@ -33,7 +33,7 @@ _POINT = np.dtype(
 _SINGLE_M = 128.0
 """Coordinates up to which a single is good to 8 um."""
 _ROUNDED, _EXACT = 1e-3, 1e-9
-"""By how much the axes of a pose may differ from unit length, as it is written: with few digits, or with all."""
+"""How far the axes of a pose may differ from unit length: if written with few digits, and if with all."""
 _NO_INTENSITY = 127.5
 _SHORTEST_CELL = 8
 """Bytes of a cell: four numbers."""
@@ -225,7 +225,7 @@ def _directions(cloud: PointCloud, profiles: np.ndarray) -> tuple[bool, bool]:
     stride = max(1, cloud.valid[:1].size * len(profiles) // _SAMPLES)
     chosen = profiles[: -1 if len(profiles) > 1 else None : stride]
     following = profiles[1:][::stride] if len(profiles) > 1 else chosen
-    # As in most images, lines run downwards where the points do not tell.
+    # Where the points do not tell, lines run downwards, as in most images.
     rises, right = 0.0, 0.0
     for first, second in zip(chosen, following, strict=True):
         for part in _parts(cloud.valid.shape[1] - 1):

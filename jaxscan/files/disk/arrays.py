@@ -89,7 +89,7 @@ def read_arrays(
 def _members(listed: list[zipfile.ZipInfo], *, stored: bool) -> dict[str, zipfile.ZipInfo]:
     """The members of an archive by the names of their arrays."""
     members = {member.filename.removesuffix(".npy"): member for member in listed}
-    # Of two arrays with one name, programs would take one or the other.
+    # If two arrays had one name, programs would take one or the other.
     if len(members) < len(listed):
         raise ValueError(f"found {len(listed)} arrays of {len(members)} names, expected each name once")
     if stored and any(member.compress_type != zipfile.ZIP_STORED for member in listed):

@@ -54,7 +54,7 @@ class FolderLock:
         """
         self.path = path
         self.note = ""
-        """Whose lock was taken over; "" if none."""
+        """Says whose lock was taken over; "" if none was."""
         self._error, self._busy, self._remedy = error, busy, remedy
         self._file: io.FileIO | None = None
 

@@ -157,8 +157,8 @@ def _by_names(folder: Path, names: Sequence[str], request: ImportRequest) -> Rol
     return _by_words(folder, names, request) if known is None else known._replace(on=_renamed(known.on, request))
 
 
-# Of other programs that keep captures FabScanPi alone has a layout that words in names do not tell: Horus keeps no
-# images of a scan, and FreeLSS none but a thumbnail.
+# FabScanPi is the only other program that keeps captures in a layout that words in names do not tell: Horus keeps no
+# images of a scan, and FreeLSS only a thumbnail.
 
 
 def _fabscan(names: Sequence[str]) -> Roles | None:

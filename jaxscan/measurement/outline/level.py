@@ -64,15 +64,15 @@ def find_level(
     below, above = outermost(level, -up), outermost(level, up)
     if below is None:
         raise MeasurementError(
-            f"No floor among {len(planes)} planes in {len(samples.p)} points, from which heights are counted; a room "
-            "must be scanned from within, so far down that the floor is seen on all sides."
+            f"No floor, from which heights are counted, among {len(planes)} planes in {len(samples.p)} points; scan "
+            "the room from within, and far enough down to see the floor on all sides."
         )
     floor = refine_wall(samples, below, rng=rng)
     if (share := floor.behind(samples)) > BEYOND:
         raise MeasurementError(
             f"{100 * share:.0f} % of the points lie below the lowest large plane, at {-floor.plane.distance:.2f} m, so "
-            "it is no floor from which heights are counted; a room must be scanned from within, so far down that the "
-            "floor is seen on all sides."
+            "it is no floor from which heights can be counted; scan the room from within, and far enough down to see "
+            "the floor on all sides."
         )
     up = -floor.plane.normal
     along = main_direction(planes)

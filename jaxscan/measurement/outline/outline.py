@@ -83,7 +83,7 @@ class RoomOutline:
         return all(self.is_corner(number, i) for number, loop in enumerate(self.loops) for i in range(len(loop)))
 
     def is_corner(self, loop: int, side: int) -> bool:
-        """Whether the first corner of a side is one of two walls, of which one at least was seen near it."""
+        """Whether two walls meet at the first corner of a side, and at least one of them was seen near it."""
         before, after = self.loops[loop][side - 1], self.loops[loop][side]
         return before.seen and after.seen and min(before.gaps[1], after.gaps[0]) < EXTENDED_M
 

@@ -37,7 +37,7 @@ class LaserLight(NamedTuple):
     """The stripe of one view."""
 
     centre: np.ndarray
-    """From the middle of the window [lines], px."""
+    """Centre of the stripe, counted from the middle of the window [lines], px."""
     sigma: np.ndarray
     """Its standard deviation by noise [lines], px."""
     doubt: np.ndarray
@@ -80,7 +80,7 @@ def fit_laser_light(
         paper: The print at the samples of the lattice [k, lines, j].
         room: Of `fit_room_light`.
         start: Centres from the middles of the windows [lines], and the width of the stripe as seen [px].
-        contrast: Of speckle, as other boards told it [1]; 0 where none was told.
+        contrast: Contrast of speckle, as other boards showed it [1]; 0 where none did.
 
     Source: Curless and Levoy, Better optical triangulation through spacetime analysis (1995), for the error at
     edges of reflectance.

@@ -33,9 +33,9 @@ class Lattice(NamedTuple):
     """Where print and light are sampled: rows along the stripe, sheared so that they follow it."""
 
     along: np.ndarray
-    """From the line, along the stripe [j], px."""
+    """Distance from the line, along the stripe [j], px."""
     across: np.ndarray
-    """From the middle of the window, across, beside the shear [k], px."""
+    """Distance from the middle of the window, across the stripe, without the shear [k], px."""
     slope: float
     """Shear: pixels across for one pixel along."""
     pixels: np.ndarray

@@ -29,7 +29,7 @@ _SURE = 2.5
 _ODD_CHI2, _MOVED_PX = 4.0, 1.5
 # Centres with a larger standard deviation are dropped [px].
 _MAX_SIGMA_PX = 1.0
-# Range of the print within 4 px, of paper and ink, from which an edge is weak, and strong.
+# Range of the print within 4 px, over that of paper and ink, from which an edge counts as weak, and as strong.
 _WEAK, _STRONG = 0.1, 0.5
 
 

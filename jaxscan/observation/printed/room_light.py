@@ -30,7 +30,7 @@ _ODD, _ODD_WEIGHT = 5.0, 0.04
 # lines do not draw it aside.
 _UNEXPLAINED = (0.3, 0.25, 0.25, 0.2, 0.15, 0.12, 0.12)
 _HELD_ROUNDS = 2
-# Of a print that lies far from its prediction, by a poor pose.
+# The same limits for a print that lies far from its prediction because of a poor pose.
 _UNEXPLAINED_FAR = (0.5, 0.5, 0.5, 0.3, 0.2, 0.12, 0.12)
 
 
@@ -39,11 +39,11 @@ class RoomLight(NamedTuple):
 
     shared: Shared
     covariance: np.ndarray
-    """Of blur and place of the print [3, 3]."""
+    """Covariance of blur and place of the print [3, 3]."""
     explained: np.ndarray
     """bool [lines]: whether the print explains the light round the stripe on that line."""
     exchanged: bool
-    """Whether black and white are exchanged: a chessboard looks the same turned, but for its colours."""
+    """Whether black and white are exchanged: a turned chessboard looks the same, except for its colours."""
 
 
 def fit_room_light(windows: Windows, paper: np.ndarray, lattice: Lattice, *, far: bool = False) -> RoomLight:

@@ -25,7 +25,7 @@ class Sight(NamedTuple):
     frames: FrameFormat
     line: LaserLine
     noise: NoiseModel
-    """In DN of the planes."""
+    """The noise, in DN of the planes."""
     steps: int = 1
     """DN of the planes that are one of 8 bits."""
 
@@ -43,7 +43,7 @@ class Windows(NamedTuple):
     light: np.ndarray
     """Laser-on minus laser-off [lines, samples], DN."""
     variance: np.ndarray
-    """Variance of that but for the stripe's own photons and speckle [lines, samples], DN^2."""
+    """Variance of that, without the stripe's own photons and speckle [lines, samples], DN^2."""
     dark: np.ndarray
     """Laser-off [lines, samples], DN."""
     dark_variance: np.ndarray
@@ -52,7 +52,7 @@ class Windows(NamedTuple):
     electrons_per_dn: float
     """Conversion gain [e-/DN]."""
     place: np.ndarray
-    """Of the samples from the middle one [samples], px."""
+    """Place of each sample, counted from the middle one [samples], px."""
 
 
 def cut_windows(sight: Sight, line: np.ndarray, centre: np.ndarray, half: int) -> tuple[Windows, np.ndarray]:

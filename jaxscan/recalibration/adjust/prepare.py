@@ -13,8 +13,8 @@ from jaxscan.recalibration.observed import RecalibrationSettings, RoomObservatio
 from jaxscan.recalibration.result import Start
 
 
-# First standard deviation of where the table stops, while nothing is learned: that of 1,600 microsteps a turn, or more
-# of a finer table with backlash [rad]; and one that holds the angles as they are.
+# Standard deviation of where the table stops, before it is learned: that of 1,600 microsteps a turn, or of a finer
+# table with backlash [rad]; and one that is small enough to hold the angles as they are.
 FIRST_STOP, HELD_STOP = 5e-4, 1e-7
 # Numbers are rounded up to these, so that rooms of about the same size share a compilation.
 _IMAGES = (0, 128, 256, 512, 1_024)
@@ -31,8 +31,8 @@ _CONTRADICTS = 5.0
 class Angles(NamedTuple):
     """The angles of all records of all sweeps, one after another.
 
-    Each image in which features are seen has an unknown correction, the stop of the table beside its angle: all its
-    sightings share that. Stops of other records are errors that the points of their walls share, see `errors`.
+    Each image in which features are seen has an unknown correction: how far beside its angle the table stopped. All
+    sightings in the image share it. In other records this is an error that the points of a wall share, see `errors`.
     """
 
     first: Int[np.ndarray, " sweeps"]
@@ -41,7 +41,7 @@ class Angles(NamedTuple):
     known: tuple[Float[np.ndarray, " records"], ...]
     """The known faults of every sweep [rad]."""
     knot: Int[np.ndarray, " records"]
-    """The unknown correction of each record; of a record without one the number of all."""
+    """Number of the unknown correction of each record; a record without one has the count of all corrections."""
     unknown: int
     """Unknown corrections, padding included."""
 
@@ -56,7 +56,7 @@ class Prepared(NamedTuple):
     usable: Bool[np.ndarray, " points"]
     """Points that are finite; the others have weight 0."""
     seen: Bool[np.ndarray, " sightings"]
-    """The same of sightings."""
+    """Sightings that are finite; the others have weight 0."""
 
 
 def prepare(prior: Scanner, start: Start, observations: RoomObservations, settings: RecalibrationSettings) -> Prepared:
@@ -134,7 +134,7 @@ def _closed(
         if abs(1.0 - abs(gain)) > _CONTRADICTS * _CLOSED:
             raise CalibrationError(
                 f"The stored calibration holds the table's gain at {gain:.6f}, but a closed gear has 1 (--closed): "
-                "leave that out, or calibrate with a gain that is not held."
+                "leave out --closed, or calibrate with a gain that is not held."
             )
         return np.zeros((0, len(root))), np.zeros(0)
     return np.sign(gain) * root[row : row + 1] / _CLOSED, np.array([(1.0 - abs(gain)) / _CLOSED])
@@ -174,7 +174,7 @@ def _sight(
     record = angles.first[seen.sweep] + seen.record
     whole = (observations.station[seen.sweep], angles.knot[record], local, laser)
     numbers = (np.asarray(field, np.int32) for field in whole)
-    # Every padding, and what is not finite, is a copy of the first that can be computed.
+    # The padding, and entries that are not finite, are copies of the first entry that can be computed.
     good = np.where(usable, np.arange(len(usable)), np.argmax(usable))
     fields = np.asarray(seen.q, np.float64), angles.phi[record], *numbers
     return Sight(*(_pad(field[good], _bucket(len(usable), sizes)) for field in fields)), usable
@@ -218,12 +218,12 @@ def _lengths(observations: RoomObservations, surfaces: int) -> Lengths:
 
 
 def _bucket(count: int, sizes: tuple[int, ...]) -> int:
-    """The next size."""
+    """The first of the sizes that is large enough for the count; the count itself if none is."""
     return next((size for size in sizes if size >= count), count)
 
 
 def _pad(array: np.ndarray, size: int) -> np.ndarray:
-    """The array continued by its first entry."""
+    """The array, padded to a size by copies of its first entry."""
     return np.concatenate([array, np.broadcast_to(array[:1], (size - len(array), *array.shape[1:]))])
 
 

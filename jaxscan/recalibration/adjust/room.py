@@ -101,7 +101,7 @@ class Unknowns(NamedTuple):
 
     scanner: Float[Array, " params"]
     stations: Float[Array, " stations_less_1_times_6"]
-    """Six each but for the first: translation, rotation in its own frame."""
+    """Six for each station except the first: translation and rotation in its own frame."""
     angles: Float[Array, " angles"]
     locals: Float[Array, "locals 3"]
     """Surfaces, then tracked points."""

@@ -124,7 +124,7 @@ class Scales(NamedTuple):
     """Old over new standard deviation along the steps of the scanner that are left for each scale [1]; 1 where the
     captures say nothing of it, even if `before` is larger because of other parameters."""
     left: Float[np.ndarray, "params 2"]
-    """Those steps, one standard deviation after."""
+    """The steps that are left for each scale; each is one standard deviation after the sweeps."""
 
 
 def scales_of(compared: Compared, slope: Float[np.ndarray, "2 params"]) -> Scales:

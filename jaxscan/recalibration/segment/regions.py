@@ -297,7 +297,7 @@ class BentPlane(NamedTuple):
     rest: Float[np.ndarray, "3"]
     """How far these steps shift (at the centre [m]) and tilt (along the axes) the plane."""
     taken: Float[np.ndarray, "3 directions"]
-    """The same of each likely step by itself."""
+    """Shift and tilt of the plane by each likely step alone."""
     curvature: float
     """Largest curvature of the points as they are, before the calibration is moved [1/m]."""
     curvature_sigma: float

@@ -115,7 +115,7 @@ _STATION_M, _STATION_RAD = 0.01, 3e-3
 """Standard deviations of the given pose of a station."""
 _SAMPLES, _MORE = 300, 4000
 _LOCAL_M, _LOCAL = 0.4, 20
-"""Around the place between two parts, points within this distance, of each part at least so many, show a step."""
+"""A step shows in the points within this distance of the place between two parts; and least number of each part."""
 
 
 class Piece(NamedTuple):
@@ -341,7 +341,7 @@ def _joined(found: Sequence[Candidates]) -> Candidates:
 
 
 def _choose(found: Candidates, most: int) -> Int[np.ndarray, " chosen"]:
-    """At most so many candidates: balanced over surfaces, even over their area, independent in their noise."""
+    """At most `most` candidates: balanced over surfaces, even over their area, independent in their noise."""
     surface = found.points.surface
     independent = np.flatnonzero(_far_apart(found.points.sweep, found.profile, found.points.line, found.shared))
     independent = np.random.default_rng(1).permutation(independent)

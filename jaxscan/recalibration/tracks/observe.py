@@ -318,7 +318,7 @@ def _features(
 
 
 def _thinned(followed: Followed) -> Followed:
-    """At most `_SIGHTINGS` of each track, its first and last ones and others evenly between."""
+    """At most `_SIGHTINGS` sightings of each track: the first, the last, and others evenly between them."""
     order = np.lexsort((followed.step, followed.track))
     start, count = np.unique(followed.track[order], return_index=True, return_counts=True)[1:]
     place = np.arange(len(order)) - np.repeat(start, count)

@@ -31,7 +31,7 @@ class Triangulated(NamedTuple):
     range_m: Float[np.ndarray, " tracks"]
     """Mean distance from the camera; negative behind it."""
     valid: Bool[np.ndarray, " tracks"]
-    """In front of the camera, and no farther than `MOST_RANGE_M`."""
+    """Whether the point is in front of the camera, and no farther than `MOST_RANGE_M`."""
 
 
 def rays_of(

@@ -57,7 +57,7 @@ class Directions:
 
     @property
     def band(self) -> slice:
-        """The rows between the highest and the lowest point, but for one point in two hundred at either end."""
+        """The rows between the highest and the lowest point, without one point in two hundred at either end."""
         return slice(self._row(self.highest_deg), self._row(self.lowest_deg) + 1)
 
     def _row(self, elevation_deg: float) -> int:
@@ -142,9 +142,9 @@ def _regions(empty: np.ndarray) -> list[tuple[np.ndarray, np.ndarray]]:
 
 MOST_STATIONS = 4
 FAR_OFF = 100.0
-"""Points so many times the median distance away are strays: no picture shows them."""
+"""Points farther away than this many times the median distance are strays: no picture shows them."""
 BEYOND_M = 0.05
-"""Points so far outside the walls were seen through windows or in mirrors."""
+"""Points farther outside the walls than this were seen through windows or in mirrors."""
 _BINS_M = (0.0, 0.5, 1.0, 1.5, 2.0, 2.5, 3.0, 4.0, 5.0, 7.0, 10.0, 15.0, 20.0, 30.0, 50.0, np.inf)
 
 
@@ -189,7 +189,7 @@ class Facts:
     cells: float | None
     """Part of the cells of the grid that have a point [1]; None without a grid."""
     sigma: tuple[SigmaAt, ...]
-    """By distance; none where the cloud has no sigmas."""
+    """Sigmas by distance; empty where the cloud has no sigmas."""
     median_sigma_m: float | None
     beyond_walls: int | None
     """Points outside the walls; None where no dimension is known."""

@@ -90,7 +90,7 @@ def frame_of(view: Viewpoint, size: tuple[int, int]) -> Canvas:
 
 
 def fitted_frame(view: Viewpoint, points: np.ndarray, width: int, margin: int) -> Canvas:
-    """A view on a canvas that the points [n, 3], m, ahead of the eye, just fill, but for a margin [px] at each edge.
+    """A view on a canvas that the points [n, 3], m, ahead of the eye, just fill, except for a margin [px] at each edge.
 
     The height follows from the points, `TALL` times the width [px] at most.
     """

@@ -131,7 +131,7 @@ def thrown_light(shot: LitScene, glass: Glass, rays: np.ndarray) -> np.ndarray:
 
 
 def thrown_sheet(shot: LitScene, glass: Glass, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
-    """As `mirrored_sheet`, for the light that the laser throws by way of a mirror.
+    """Like `mirrored_sheet`, but for the light that the laser throws by way of a mirror.
 
     Args:
         depth: Depth along the ray of every pixel's centre, float32 [height, width]; inf where nothing is.

@@ -13,7 +13,7 @@ from jaxscan.geometry import Array, namespace
 
 
 NO_INFORMATION = 1.0
-"""Standard deviation of a ratio of which the frames tell nothing [1]."""
+"""Standard deviation of a ratio about which the frames say nothing [1]."""
 SMALLEST_CHANGE = 0.005
 """Change of the ratio below which the frames are left as they are [1]: an eighth of a DN at 25 DN."""
 _CERTAIN = 4.0

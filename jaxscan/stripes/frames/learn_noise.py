@@ -215,9 +215,9 @@ def _falling_noise(level: np.ndarray, variance: np.ndarray, sigma: np.ndarray, r
 def _noise_in_blocks(difference: Float[np.ndarray, "frames lines samples"]) -> list[str]:
     """Noise in blocks of 8 pixels, as JPEG leaves it.
 
-    JPEG rounds the cosine transform of every block, most of it to zero. Of any other picture as many coefficients are
-    near zero in blocks half a block aside. Coefficients that are constant along an axis do not count: bars and stripes
-    are such.
+    JPEG rounds the cosine transform of every block, most of it to zero. In any other picture, as many coefficients are
+    near zero in blocks that are shifted by half a block. Coefficients that are constant along an axis do not count,
+    since bars and stripes are such.
     `difference` is of whole bands of 8 lines that lie as a JPEG's blocks do [DN].
 
     Source:

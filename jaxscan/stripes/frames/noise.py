@@ -37,7 +37,7 @@ _OUTSTANDING = 5.0
 _MARGIN = 24
 """Samples on either side of such a place that are left out too: the foot of a stripe."""
 _EDGE_DN = 10
-"""Steps of the scene from which the flicker of its light is told."""
+"""Steps of the scene from which the flicker of its light is learned."""
 _MIN_COUNT = 200
 _MIN_SHARE = 0.01
 """Share of the samples below which a level is not believed: only a rest of reflections, or an
@@ -187,7 +187,7 @@ def _standing_out(difference: Lines, level: Lines) -> Bool[np.ndarray, "lines n"
     step, half = _steps(box) // UNITS, _BOX // 2
     level = _pair_sums(level)[:, half:-half]
     middle, deviation = _centre_and_scale(_histogram(step, level))
-    # By the level of the scene: levels that only stripes have would take these for noise.
+    # The limit depends on the level of the scene: at levels that only stripes have, they would pass for noise.
     bin_of = level // _BIN_STEPS
     limit = _OUTSTANDING * np.maximum(deviation, 1.0)
     low, high = (np.clip(middle + sign * limit, -30000, 30000).astype(np.int16)[bin_of] for sign in (-1, 1))

@@ -197,7 +197,7 @@ class JxsController(Controller):
         self._ask("ARM", on=on)
 
     def laser(self, on: bool, ms: int | None = None, *, number: int = 1) -> None:
-        """As for every controller; `ms`: lease [ms], at most that of `hello`, by default all of it."""
+        """Like that of every controller. `ms` is the lease [ms], at most that of `hello`; by default all of it."""
         if on:
             lease = 1000 if self._firmware is None else self._firmware.lease_ms
             self._ask("LASER", on=1, ms=lease if ms is None else ms, **_named(number))
