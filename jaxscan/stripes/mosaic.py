@@ -1,4 +1,4 @@
-"""What a colour mosaic does to centres, learned from steep stripes and taken back.
+r"""What a colour mosaic does to centres, learned from steep stripes and taken back.
 
 A mosaic has the laser's colour on every second pixel. What a program fills in between is no Gaussian, so the
 error of a centre depends on its place p on the mosaic, as a wave with a period of two pixels:
