@@ -66,7 +66,8 @@ def test_bright_and_faint_parts_both_give_points(sweep, scanner):
 def test_each_exposure_alone_misses_what_the_other_has(sweep, scanner, stripes):
     short, long = (extract(alone(sweep, which), scanner, noise=NOISE).stripes for which in (0, 1))
     assert stripes.valid.mean() > 0.99
-    assert short.valid[:, BRIGHT].mean() > 0.99 and short.valid[:, ~BRIGHT].mean() < 0.2
+    # Several lines together show the short exposure a few of the dark ones.
+    assert short.valid[:, BRIGHT].mean() > 0.99 and short.valid[:, ~BRIGHT].mean() < 0.3
     assert long.valid[:, ~BRIGHT].mean() > 0.99 and long.valid[:, BRIGHT].mean() < 0.2
 
 
